@@ -11,6 +11,7 @@ import argparse
 import multiprocessing
 import textwrap
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from warpcrete.theory import pipe as theory
 
 MIXES = ("no1", "no2", "no3")
 FEW = 6  # mixes for a mean
+HALVES = ("inner", "outer", "front", "rear")
 FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6, 2500e-6, 3000e-6)
 
 
@@ -37,6 +39,30 @@ def channel(job: tuple[dict, str | None]) -> tuple[dict, dict]:
     parameters, device = job
     run = FluidSimulation(scenes.channel(**parameters), device=device, threads=1).run()
     return run.series, run.result
+
+
+def migration_figure(points: Sequence[tuple[str, float, Sequence[tuple[float, float]]]], seeds: int) -> Figure:
+    """Return the figure of the migration of grains, from the mean of each half and its standard error [points].
+
+    Each of the `points` is a concrete, a time [s] and the values of all `HALVES`, in their order.
+    """
+    figure = new_figure(f"channel, 100 mm wide, 1500 cm3/s, grains in mortar, {seeds} arrangements", 3.2, 3.5)
+    titles = ("halves near the axis and near the walls", "halves at the front and at the rear")
+    for first, axes, title in zip((0, 2), figure.subplots(2, 1, sharex=True), titles):
+        axes.axhline(0, color=rgb(THEORY), linewidth=1, zorder=0)
+        for number, mix in enumerate(dict.fromkeys(name for name, _, _ in points)):
+            times = np.array([0.0, *(time for name, time, _ in points if name == mix)])
+            for half, (line, mark) in zip((first, first + 1), (("-", "o"), ("--", "s"))):
+                mean, error = np.array([(0.0, 0.0), *(found[half] for name, _, found in points if name == mix)]).T
+                # Curves that lie on each other are shifted sideways, so that their error bars can be read.
+                axes.errorbar(
+                    times + 0.02 * times[-1] * (number - 1) * (times > 0), mean, error, fmt=line, marker=mark,
+                    markersize=4, capsize=2, elinewidth=1, color=rgb(SERIES[number]), label=f"{mix}, {HALVES[half]}",
+                )  # fmt: skip
+        axes.set(ylabel="change of the fraction\n[percentage points]", title=title)
+        legend_above(axes, width=0.85)
+    figure.axes[1].set_xlabel("time [s]")
+    return figure
 
 
 class Studies:
@@ -271,40 +297,30 @@ class Studies:
 
     def migration(self) -> None:
         """Fig. 21: fraction of aggregate inside and outside, in front and behind, over time; means of several mixes."""
-        figure = new_figure("channel, 100 mm wide, 1500 cm3/s, grains in mortar", 3.4, 3.4)
-        top, bottom = figure.subplots(2, 1)
         rows = []
         common = dict(spacing=self.fine, aggregates=True, duration=self.migration_time, sample_interval=0.05)
         runs = self.run_all([common | dict(concrete=mix, seed=seed) for mix in MIXES for seed in range(self.seeds)])
-        changes = {}
+        changes, points = {}, []
         for number, mix in enumerate(MIXES):
             own = runs[number * self.seeds : (number + 1) * self.seeds]
             time = own[0][0]["time"]
             parts = {
                 name: 100 * np.array([s[f"aggregate_{name}"] - s[f"aggregate_{name}"][0] for s, _ in own])
-                for name in ("inner", "outer", "front", "rear")
+                for name in HALVES
             }
             changes |= {f"{mix}_{name}": found for name, found in parts.items()}
-            for axes, names in ((top, ("inner", "outer")), (bottom, ("front", "rear"))):
-                for name, line in zip(names, ("-", "--")):
-                    mean, error = parts[name].mean(0), _standard_error(parts[name])
-                    colour = rgb(SERIES[number])
-                    axes.plot(time, mean, line, color=colour, label=f"{mix}, {name}")
-                    axes.fill_between(time, mean - error, mean + error, color=colour, alpha=0.15, lw=0)
             for at in (0.4 * time[-1], 0.8 * time[-1], time[-1]):
                 k = int(np.argmin(np.abs(time - at)))
                 window = slice(max(k - 5, 0), k + 1)  # single grains that cross a border are noise
                 cells = [found[:, window].mean(1) for found in parts.values()]
+                points.append((mix, time[k], [(c.mean(), float(_standard_error(c))) for c in cells]))
                 rows.append(
                     [mix, f"{time[k]:.1f}", *(f"{c.mean():+.3f} +- {_standard_error(c):.3f}" for c in cells),
                      f"{cells[0].std(ddof=1):.2f}", f"{100 * max(abs(r['volume_error']) for _, r in own):.3f}",
                      f"{100 * np.mean([r['pressure_error'] for _, r in own]):+.2f}"]
                 )  # fmt: skip
         np.savez_compressed(self.folder / "migration.npz", time=time, **changes)
-        for axes in (top, bottom):
-            axes.axhline(0, color="0.7", zorder=0)
-            axes.set(xlabel="time [s]", ylabel="fraction of aggregate,\nchange [percentage points]")
-            legend_above(axes)
+        figure = migration_figure(points, self.seeds)
         self.save("migration", figure)
         self.write(
             "migration",

@@ -186,8 +186,8 @@ class Tables:
     def layer(self) -> None:
         """Show the slip layer: fraction over distance, thickness, and the law of stress over slip velocity."""
         stores = load(self.runs, "a")
-        rows, figure = [], new_figure("pipe, diameter 100 mm, mortar of concrete no1 that sticks to the wall", 2.6, 3.2)
-        top, bottom = figure.subplots(2, 1, height_ratios=[2.6, 3.2])
+        rows, figure = [], new_figure("pipe, diameter 100 mm, mortar of concrete no1 that sticks to the wall", 3.3, 3.1)
+        top, bottom = figure.subplots(2, 1, height_ratios=[3.3, 3.1])
         for surfaces, part in (("sticks", 0.5), ("slips", 0.1)):
             for fraction, colour in zip(FRACTIONS, SERIES, strict=False):
                 chosen = [s for s in stores.values() if s["varied"]["surfaces"] == surfaces
@@ -218,11 +218,14 @@ class Tables:
         own, line = CONCRETES["no1"], np.geomspace(1e-3, 0.8)
         bottom.loglog(1e3 * line, own.slip_viscosity * line + own.slip_yield, "--", color=rgb(MEASURED),
                      label="Xu et al.")  # fmt: skip
-        top.set(
-            xlabel="distance from the wall [mm]", ylabel="volume fraction of aggregates", xlim=(0, 25), ylim=(0, None)
-        )
-        bottom.set(xlabel="slip velocity [mm/s]", ylabel="stress at the wall [Pa]")
-        legend_above(bottom)
+        top.set(xlabel="distance from the wall [mm]", ylabel="volume fraction\nof aggregates", xlim=(0, 25),
+                ylim=(0, None), title="aggregates near the wall, at 4000 Pa")  # fmt: skip
+        bottom.set(xlabel="slip velocity [mm/s]", ylabel="stress at the wall [Pa]", title="law of the slip layer",
+                   xticks=(1, 10, 100, 1000), yticks=(300, 1000, 4000))  # fmt: skip
+        for axis in (bottom.xaxis, bottom.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
+        legend_above(top, bottom.get_legend_handles_labels()[0])
         self.save("layer", figure)
         head = ["mortar", "fraction", "in the core", "half of it at [mm], start", "late",
                 "eta_L [Pa s/m]", "tau_L0 [Pa]",
@@ -271,17 +274,20 @@ class Tables:
         """Show the fraction in the inner half of the radius, and in the ring at the wall, over the travel."""
         rows, figure = [], new_figure("pipe, diameter 100 mm", 3.4, 3.4)
         sheared, pumped = figure.subplots(2, 1)
-        for (name, store), colour in zip(load(self.runs, "b").items(), (*SERIES, *SERIES), strict=False):
+        for name, store in load(self.runs, "b").items():
             inner, wall, time = 100 * inner_fraction(store), 100 * at_wall(store), column(store, "time")
             last = late(store, 0.1)
             rows.append([name, ended(store), f"{travel(store) / store['parameters']['diameter']:.1f}",
                          f"{inner[0]:.1f}", f"{inner[last].mean() - inner[0]:+.2f}", f"{wall[0]:.1f}",
                          f"{wall[last].mean() - wall[0]:+.2f}"])  # fmt: skip
-            axes = sheared if store["varied"]["kind"] == "sheared" else pumped
-            axes.plot(time, inner - inner[0], color=rgb(colour), label=name.removeprefix("sheared-"))
-        for axes, title in ((sheared, "mortar sticks, 2000 Pa"), (pumped, "Xu's concretes, 1500 cm3/s")):
-            axes.set(xlabel="time [s]", ylabel="change of the\ninner fraction [points]", title=title)
-            axes.axhline(0.0, color=rgb(THEORY))
+            kind, fraction, seed = store["varied"]["kind"], store["varied"].get("fraction"), store["varied"]["seed"]
+            axes, line = (sheared if kind == "sheared" else pumped), ("-", "--")[seed % 2]
+            label = f"fraction {fraction:g}, seed {seed}" if fraction else f"concrete {kind}"
+            colour = SERIES[FRACTIONS.index(fraction) if fraction else int(kind[2:]) - 1]
+            axes.plot(time, inner - inner[0], line, color=rgb(colour), label=label)
+        for axes, title in ((sheared, "mortar of no1, sticks, 2000 Pa"), (pumped, "concretes, slip, 1500 cm3/s")):
+            axes.set(xlabel="time [s]", ylabel="change of the inner fraction\n[percentage points]", title=title)
+            axes.axhline(0.0, color=rgb(THEORY), linewidth=1, zorder=0)
             legend_above(axes)
         self.save("migration", figure)
         head = ["run", "ended", "travel [diameters]", "inner fraction at the start [%]", "change [points]",
@@ -291,7 +297,7 @@ class Tables:
     def tests(self) -> None:
         """Show the standard tests at the end, or at the last time that a run with aggregates reached."""
         stores, rows = load(self.runs, "c"), []
-        figure = new_figure("concrete of 30 Pa s and 50 Pa, aggregate fraction 0.3", 2.6, 3.0)
+        figure = new_figure("concrete of 30 Pa s and 50 Pa, aggregate fraction 0.3", 3.0, 2.8)
         for axes, test in zip(figure.subplots(2, 1, sharex=True), ("slump", "jring"), strict=True):
             for name, store in stores.items():
                 if name.startswith(test) and "surface" in store.get("result", {}):
@@ -301,9 +307,9 @@ class Tables:
                     height = np.where(free, 1e3 * np.array(surface["height"]["value"]), np.nan)
                     axes.plot(1e3 * np.array(surface["place"]["value"]), height,
                               color=rgb(SERIES["flow" in name]), label=store["varied"]["method"])  # fmt: skip
-            axes.set(ylabel="height [mm]", title=test)
+            axes.set(ylabel="height [mm]", title={"slump": "slump test", "jring": "J-ring test"}[test])
         figure.axes[1].set_xlabel("distance from the axis [mm]")
-        legend_above(figure.axes[1])
+        legend_above(figure.axes[0])
         self.save("heaps", figure)
         shown = {"slump": ("slump", "spread", "t500"), "jring": ("slump", "spread", "blocking_step"),
                  "funnel": ("funnel_time",), "lbox-0": ("t400",), "lbox-3": ("t400",)}  # fmt: skip
