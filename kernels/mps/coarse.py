@@ -29,12 +29,12 @@ This interval extends from 2 / RATIO to 2."""
 
 @functools.cache
 def slot_function(scalar, dimensions: int):
-    """Build `slot_of`, which numbers the position of the cube `other` relative to the cube `own`.
+    """Build `slot_of`, which returns a number for the position of the cube `other` relative to the cube `own`.
 
     Cubes are the cells of the coarse grid. The two cubes must be adjacent or equal, so `other` is either `own` itself
     or one of the cubes around it. In d dimensions these are 3^d positions, with numbers from 0 to 3^d - 1; `own` has
     the middle number. The cubes of neighbouring particles are always adjacent or equal, because a cube is at least as
-    wide as the reach of a particle.
+    wide as the largest distance of two neighbouring particles.
     """
     Matrix = array_structs(scalar, dimensions).Matrix
 

@@ -1,7 +1,7 @@
 """Conjugate gradients for the equations of the moving particle method, whose unknowns are vectors or numbers.
 
-Each row of the matrix belongs to a particle. Its product with the unknowns is the diagonal times the particle's own
-value, minus the pair coefficients times the neighbours' values. If the unknowns are velocities, the row may also
+Each row of the matrix belongs to a particle. The product of a row and the unknowns is the diagonal times the particle's
+own value, minus the pair coefficients times the neighbours' values. If the unknowns are velocities, the row may also
 contain the wall's resistance to motion along the wall. The preconditioner is the diagonal. A whole solve is one kernel.
 On a CPU every thread processes some chunks of rows, and all threads meet at barriers where sums are formed;
 `resident_solver.py` is the version for a GPU. Sums are always formed in the same order, so results are reproducible.
@@ -96,9 +96,10 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
     """Build the functions that a CPU thread applies to a range of rows, or of rigid grains, in a solve.
 
     `begin` computes the first search direction of each row. `update` changes solution and residual by a step along the
-    search direction. `share` computes the preconditioned residual of rigid grains. Each of them returns the part of
-    two inner products that comes from its rows: of the residual with the preconditioned residual, and of the residual
-    with itself. `multiply` multiplies the matrix by the search direction, and returns the part of their inner product.
+    search direction. `share` computes the preconditioned residual of rigid grains. Each of these three functions
+    returns the contributions of its rows to two inner products: residual times preconditioned residual, and residual
+    times residual. `multiply` multiplies the matrix by the search direction, and returns its rows' contribution to the
+    inner product of the direction and this product.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value

@@ -21,8 +21,8 @@ BENEATH = {2: 0.2, 3: 0.15}
 
 The mean depth is minus the first moment of the neighbours' weights along the pipe. It is divided by the spacing and by
 the sum of weights of a full lattice. A particle in the surface of a lattice has a mean depth of 0.33 in two dimensions
-and 0.28 in three. A particle below a hole inside the fluid, as large as one particle, has 0.17 and 0.08. Such a hole is
-no free surface.
+and 0.28 in three. If the fluid has a hole as large as one particle, a particle below the hole has a mean depth of 0.17
+in two dimensions and 0.08 in three. Such a hole is no free surface.
 """
 
 

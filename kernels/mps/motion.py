@@ -8,12 +8,13 @@ from ..common.control import FAILED, HALTED, STALE, STEPS
 from .structs import LOST, array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 CROWDED = wp.constant(0.95)
-"""Distance between two particles, divided by the initial particle spacing, below which the two are pushed apart."""
+"""Distance between two particles, divided by the initial particle spacing, below which these particles are pushed
+apart."""
 
 
 @functools.cache
 def shift_kernel(scalar, dimensions: int, serial: bool):
-    """Build the kernel that computes displacements of the particles in addition to those by their velocities.
+    """Build the kernel that computes those displacements of particles that do not result from their velocities.
 
     These displacements move particles out of crowded regions, down the gradient of a potential, and push close pairs
     apart. They change no velocities.

@@ -77,8 +77,8 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
     Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin` and `update`
-    return the contributions of one row to the inner products of r with z and of r with itself, and `share` returns
-    those of one grain. `multiply` returns the row's contribution to the inner product of p with A p.
+    return the contributions of one row to the inner products of r with z and of r with itself, and `share` returns the
+    contributions of one grain. `multiply` returns the row's contribution to the inner product of p with A p.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value

@@ -128,7 +128,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
         # Velocity difference due to shear between particle and wall, divided by the wall stress [m/s/Pa], shape (n,).
         compliance: wp.array(dtype=scalar)
-        predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).
+        predicted: wp.array(dtype=scalar)  # Filtered pressure of the previous step [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
 

@@ -10,7 +10,7 @@ maps V and w to face velocities, the viscous matrix A of all faces becomes P^T A
 this, without a drag law.
 
 Strain rates belong to samples. A sample is a cell (for stretching) or a cell edge (for shear). In comments on array
-shapes, n is the number of aggregates, and `slots` the number of cells, including a frame around the grid.
+shapes, n is the number of aggregates, and `cells` the number of cells, including a frame around the grid.
 
 The grid is filled with mortar everywhere, also inside aggregates. An aggregate adds the difference between its own mass
 and that of the mortar in its place, so its weight in mortar does not depend on how the grid resolves its surface.
@@ -72,8 +72,8 @@ def body_structs(scalar) -> SimpleNamespace:
         turn: wp.array(dtype=quat)  # Orientation of each aggregate, shape (n,).
         radius: wp.array(dtype=scalar)  # Radius of a sphere with the volume of each aggregate [m], shape (n,).
 
-        # Mass of each aggregate minus that of an equal volume of mortar [kg], and moment of inertia of each aggregate
-        # minus that of this mortar [kg m2], each of shape (n,).
+        # Mass of each aggregate minus the mass of an equal volume of mortar [kg], and moment of inertia of each
+        # aggregate minus the moment of inertia of this mortar [kg m2], each of shape (n,).
         extra_mass: wp.array(dtype=scalar)
         extra_inertia: wp.array(dtype=scalar)
         force: wp.array(dtype=vec3)  # External force on each aggregate, such as weight minus buoyancy [N], shape (n,).
@@ -100,8 +100,8 @@ def body_structs(scalar) -> SimpleNamespace:
         offset: wp.array(dtype=vec3)
         arm: wp.array(dtype=vec3)
         moments: wp.array(dtype=vec3)  # Principal moments of inertia of each aggregate over its mass [m2], shape (n,).
-        # Inertia tensor of each aggregate minus that of an equal volume of mortar, along the axes of the grid [kg m2],
-        # shape (n,).
+        # Inertia tensor of each aggregate minus the inertia tensor of an equal volume of mortar, along the axes of the
+        # grid [kg m2], shape (n,).
         tensor: wp.array(dtype=mat33)
         # Torque that keeps the angular momentum of each aggregate constant while its inertia tensor turns [N m], shape
         # (n,).
@@ -110,25 +110,25 @@ def body_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Cover:
         # Number of aggregates that contain the centre of each face, and 1 + the largest index of these aggregates, each
-        # of shape (3 slots,).
+        # of shape (3 * cells,).
         claims: wp.array(dtype=wp.int32)
         owner: wp.array(dtype=wp.int32)
-        # The next two arrays, of shape (3 slots,), describe each face that moves with no aggregate. `closing` is the
-        # number of its adjacent cells in which all other faces move with aggregates, all of a cell with the same one.
-        # `closer` is the largest index of these aggregates plus 1, or 0 if there are none.
+        # The next two arrays, of shape (3 * cells,), describe each face that moves with no aggregate. `closing` is the
+        # number of its adjacent cells in which all other faces move with one and the same aggregate. `closer` is 1 +
+        # the largest index of these aggregates, or 0 if there are no such cells.
         closing: wp.array(dtype=wp.int32)
         closer: wp.array(dtype=wp.int32)
         # 1 for cells in narrow gaps between two aggregates, or between an aggregate and a wall, whose faces must not
-        # move with an aggregate; 0 for all other cells. The shape is (slots,).
+        # move with an aggregate; 0 for all other cells. The shape is (cells,).
         shared: wp.array(dtype=wp.int32)
-        # Three arrays of shape (3 slots,), with one entry for each face of the grid: the number of aggregates that
+        # Three arrays of shape (3 * cells,), with one entry for each face of the grid: the number of aggregates that
         # cover a part of the face; the largest index of these aggregates, plus 1; and the covered fraction of the
         # face's area as an integer, in units of 1 / FULL.
         touches: wp.array(dtype=wp.int32)
         toucher: wp.array(dtype=wp.int32)
         covered: wp.array(dtype=wp.int32)
-        # Fraction of each sample that aggregates fill, times FULL, shape (4 slots,). Cells come first, followed by the
-        # edges for shear in the planes of the three pairs of axes.
+        # Fraction of each sample that aggregates fill, times FULL, shape (4 * cells,). Cells come first, followed by
+        # the edges for shear in the planes of the three pairs of axes.
         solid: wp.array(dtype=wp.int32)
         first: wp.array(dtype=wp.int32)  # Index in `faces` of each aggregate's first face, shape (n + 1,).
         count: wp.array(dtype=wp.int32)  # Number of the grid's faces that move with each aggregate, shape (n,).
@@ -151,7 +151,7 @@ def body_structs(scalar) -> SimpleNamespace:
 def shape_functions(scalar, kind: BodyKind) -> SimpleNamespace:
     """Build functions that return properties of an aggregate's spheres, such as centre, radius and velocity.
 
-    If each aggregate is one sphere, the index of the sphere is that of the aggregate.
+    If each aggregate is one sphere, a sphere has the same index as its aggregate.
     """
     t = types(scalar)
     vec, mat33, quat = t.vec3, t.mat33, t.quat

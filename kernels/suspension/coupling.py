@@ -324,8 +324,9 @@ def advance_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     distributes.
 
     - `advance` adds a search direction times `factor` to the solution, and subtracts the product of matrix and
-      direction (`effect`) times `factor` from the residual. It then computes partial sums of two squared norms: that of
-      the residual, and that of the flow's momentum, with which the residual is compared. Each has `partials` sums.
+      direction (`effect`) times `factor` from the residual. It then computes the squared norm of the residual, and the
+      squared norm of the flow's momentum, with which the residual is compared. Each norm is stored as `partials`
+      partial sums.
     - `finish` adds the solution to the velocities and pressures of the flow.
     """
     Grid = grid_parameters_struct(scalar, 3)

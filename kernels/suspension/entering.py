@@ -47,9 +47,9 @@ def entering_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
       are oblique to the grid, such a cell has a net inflow that depends on the accuracy of the geometry, and that no
       motion of the aggregate along the wall makes zero. The kernel `release` of `cover.py` makes the velocities of the
       marked cells' faces unknowns again.
-    - `ignore` deletes their lists of neighbours, because they need no forces.
-    - `fix` deletes their mobility, so that solves do not change their velocities. The inverse blocks of the
-      preconditioner are zero, so these aggregates have no part in any search direction and in no norm.
+    - `ignore` deletes the lists of neighbours of aggregates that are not free yet, because they need no forces.
+    - `fix` deletes the mobility of these aggregates, so that solves do not change their velocities. The inverse blocks
+      of the preconditioner are zero, so these aggregates have no part in any search direction and in no norm.
     - `weigh` sets the weight of each aggregate minus its buoyancy. The mortar beyond the open end of the pipe would
       bear the part of an aggregate that has left, so this part has no weight.
     """

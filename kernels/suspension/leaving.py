@@ -1,8 +1,8 @@
 """Aggregates that leave the simulated box through an open side, such as the outlet of a funnel.
 
-The grid contains mortar everywhere, also inside aggregates, so an aggregate adds only its mass minus that of an equal
-volume of mortar. Beyond an open side there is no mortar. The part of an aggregate that has left therefore adds its
-whole mass and weight, until the aggregate has left entirely. It is then parked far away, where it moves no more.
+The grid contains mortar everywhere, also inside aggregates, so an aggregate adds only its own mass minus the mass of an
+equal volume of mortar. Beyond an open side there is no mortar. The part of an aggregate that has left therefore adds
+its whole mass and weight, until the aggregate has left entirely. It is then parked far away, where it moves no more.
 """
 
 import functools

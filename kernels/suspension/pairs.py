@@ -5,9 +5,9 @@ narrower gaps, the lubrication force at the actual gap minus that at the cut-off
 each other. Both forces depend linearly on the relative velocity along the line of centres, so they are part of the
 matrix of the implicit solve and do not limit the time step.
 
-The neighbours are those of spheres. The spheres of a clump have separate neighbours, and forces on a sphere also exert
-a torque on the clump. In comments on array shapes, m is the number of spheres of all aggregates; it is the number n of
-aggregates if each of them is one sphere.
+Every sphere has its own list of neighbours, also within a clump. Forces on a sphere of a clump also exert a torque on
+the clump. In comments on array shapes, m is the number of spheres of all aggregates; it is the number n of aggregates
+if each of them is one sphere.
 """
 
 import functools
@@ -153,8 +153,8 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
     - `relative` returns the velocity of a sphere relative to a neighbour.
     - `between` returns the force and the torque by which the neighbours of an aggregate oppose the given velocities. It
       adds up every `by`-th neighbour from number `lane` on.
-    - `blocks` returns the 3 x 3 matrices of that force as a function of the aggregate's own velocity, and of that
-      torque as a function of its own spin.
+    - `blocks` returns two 3 x 3 matrices: the first gives this force from the aggregate's own velocity, the second this
+      torque from its own spin.
     """
     vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
     Pairs, Bodies, shape = pair_struct(scalar), body_structs(scalar).Bodies, shape_functions(scalar, kind)

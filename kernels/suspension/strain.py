@@ -2,9 +2,9 @@
 
 Strain rates are computed at samples: the cells and the cell edges of the grid. An aggregate may cut a sample. The
 aggregate does not deform, so the mortar in the sample deforms more: with the mortar's fraction f of the sample, the
-strain rate of the mortar is that of the sample divided by f. The dissipation in the sample is then mu / f times the
-square of the sample's strain rate, where mu is the viscosity of the mortar. The matrix therefore contains mu / f
-instead of mu.
+strain rate of the mortar is the strain rate of the sample divided by f. The dissipation in the sample is then mu / f
+times the square of the sample's strain rate, where mu is the viscosity of the mortar. The matrix therefore contains mu
+/ f instead of mu.
 """
 
 import functools

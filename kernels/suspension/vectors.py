@@ -29,10 +29,10 @@ def vector_struct(scalar):
 
     @wp.struct
     class Vector:
-        faces: wp.array(dtype=scalar)  # Velocity of each face, or the force on it, shape (3 slots,).
+        faces: wp.array(dtype=scalar)  # Velocity of each face of the grid, or the force on it; three faces per cell.
         linear: wp.array(dtype=vec3)  # Velocity of each aggregate, or the force on it, shape (n,).
         angular: wp.array(dtype=vec3)  # Spin of each aggregate, or the torque on it, shape (n,).
-        cells: wp.array(dtype=scalar)  # Pressure in each cell, or the net inflow into it, shape (slots,).
+        cells: wp.array(dtype=scalar)  # Pressure in each cell of the grid, or the net inflow into it.
 
     return Vector
 

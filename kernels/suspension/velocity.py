@@ -62,8 +62,8 @@ RESULTANT = """
 """
 """C++ sources of two functions for the faces that move with one aggregate. GIVE sets the velocities of the faces, and
 RESULTANT adds up the forces on them and their torques. The faces are the entries `first` to `end` - 1 of the list
-`faces`, of which each of `by` threads takes every by-th one. The numbers of faces that are perpendicular to an axis
-begin at axis * slots."""
+`faces`, of which each of `by` threads takes every by-th one. Faces perpendicular to axis a have numbers from a * slots
+on, where `slots` is the number of cells including the frame around the grid."""
 
 
 @functools.cache
@@ -336,7 +336,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     The tasks of each kernel work on the aggregates, which :func:`share_of_body` distributes:
 
-    - `reduce` adds the forces on these faces to the force and torque on the aggregate.
+    - `reduce` adds the forces on the faces that move with an aggregate to the force and torque on the aggregate.
     - `push` adds pressure forces to an aggregate, also those on faces that it covers partly.
     - `blend` computes mean velocities of faces that aggregates cover partly.
     """

@@ -177,8 +177,8 @@ class BodyState:
             allocate(structs.Bodies, device, self.bodies, first=parts.first, body=parts.body, size=parts.radius,
                      share=parts.share, offset=parts.offset, arm=parts.count, moments=parts.moments, tensor=count,
                      gyration=count)  # fmt: skip
-        # Upper bound of the number of faces that an aggregate covers: three faces for each cell, and as many cells as
-        # its spheres contain if their radii are larger by two cells.
+        # Upper bound of the number of faces that an aggregate covers: three times the number of cells that its spheres
+        # would contain if their radii were larger by two cells.
         room = np.ceil(3 * 4 / 3 * np.pi * (parts.radius / width + 2) ** 3).astype(int)
         room = np.add.reduceat(room, parts.first[:-1])
         slots = int(np.prod(layout.shape))
@@ -257,6 +257,6 @@ class BodyState:
     def smallest_gap(self) -> float:
         """Return the smallest gap of any sphere to a neighbour or wall, divided by the radius of that sphere.
 
-        The gaps are those at the start of the last step. A gap is negative for an overlap.
+        The gaps are taken at the start of the last step. A gap is negative where a sphere overlaps its neighbour.
         """
         return float(self.pairs.smallest_gap.numpy().min())

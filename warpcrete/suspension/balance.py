@@ -17,7 +17,7 @@ PAIRS = (0, 1), (0, 2), (1, 2)
 class Balance:
     """Balance of one time step: powers of all forces [W], and the change of momentum.
 
-    The powers are those with the velocities at the end of the step. The terms of the momentum balance are components
+    The powers are computed with the velocities at the end of the step. The terms of the momentum balance are components
     along the last axis of the grid, as forces [N] unless another unit is stated.
     """
 
@@ -58,7 +58,7 @@ class Balance:
 
     @property
     def spent(self) -> float:
-        """Dissipated power, including that of numerical damping, plus the increase of kinetic energy per time [W]."""
+        """Dissipated power, including numerical damping, plus the increase of kinetic energy per time [W]."""
         dissipated = self.viscous + self.yielding + self.film + self.lubrication + self.contacts
         return dissipated + self.kinetic + self.damping
 
@@ -82,7 +82,7 @@ def step_with_balance(flow: SuspensionFlow) -> Balance:
 def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return forces [N], velocities [m/s] and stiffnesses [N s/m] of the friction at walls at the end of the last step.
 
-    The force is that of the concrete on the wall, and the velocity that of the wall. The arrays have the shape (3, 3,
+    The forces act on the walls, and the velocities are the velocities of the walls. The arrays have the shape (3, 3,
     *shape), for the components of the velocity, the axes across the wall, and the cells.
     """
     field = _Grid(flow)
@@ -127,9 +127,9 @@ class PairForces:
     sliding: np.ndarray
     """Velocity of the sphere relative to its neighbour across `normal` [m/s], shape (n, 3); 0 without friction."""
     lubrication: np.ndarray
-    """Force of lubrication that the grid does not resolve [N]; positive if it pushes both apart."""
+    """Force of lubrication that the grid does not resolve [N]; positive if it pushes sphere and neighbour apart."""
     contact: np.ndarray
-    """Force of the contact along `normal` [N]; positive if it pushes both apart."""
+    """Force of the contact along `normal` [N]; positive if it pushes sphere and neighbour apart."""
     rubbing: np.ndarray
     """Force of the contact's friction on the sphere [N], shape (n, 3)."""
 
@@ -250,7 +250,7 @@ class _Step:
         )  # fmt: skip
 
     def _inertia(self) -> tuple[float, float, float, float]:
-        """Return gained and damped kinetic energy and gained momentum, each per time, and the momentum at the end.
+        """Return kinetic energy gained, kinetic energy damped and momentum gained, per time, and the final momentum.
 
         The implicit Euler method damps kinetic energy in a step of finite length.
         """
@@ -312,8 +312,8 @@ class _Step:
     def _pairs(self) -> tuple[float, float, float, float]:
         """Return the dissipated powers of lubrication and contacts, the power of walls [W], and the force of walls [N].
 
-        The walls are those that push aggregates. Their force on the aggregates is the component along the last axis of
-        the grid.
+        Only walls that push aggregates count here. The force of these walls on the aggregates is the component along
+        the last axis of the grid.
         """
         found = pair_forces(self.flow)
         wall = found.other == int(WALL)

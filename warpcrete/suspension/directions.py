@@ -19,8 +19,8 @@ CHUNK = 8
 class Directions:
     """Search directions of the coupled solve, and their effects.
 
-    The effect of a direction is the product of the matrix of the coupled equations with it. `sizes` are the lengths of
-    the arrays of one vector, by name. Arrays are allocated when they are needed.
+    The effect of a direction is the matrix of the coupled equations times the direction. `sizes` are the lengths of the
+    arrays of one vector, by name. Arrays are allocated when they are needed.
     """
 
     def __init__(self, scalar: Any, device: Any, sizes: dict[str, int]) -> None:
@@ -28,7 +28,7 @@ class Directions:
         self._chunks: list[tuple[Any, Any]] = []
         self._each: list[tuple[Any, Any]] = []
         self.known = 0
-        """Number of search directions that are stored. Their effects, the products of the matrix with them, are stored,
+        """Number of search directions that are stored. The effect of each (the matrix times the direction) is stored,
         too."""
         self.orthogonal = 0
         """Number of search directions whose effects have been made orthogonal to one another. An effect is the product

@@ -73,7 +73,7 @@ def _placed(
 ) -> Aggregates | None:  # fmt: skip
     """Return aggregates of a scene at random places without overlaps, or None if they do not fit.
 
-    `radii` are those of spheres of equal volume [m].
+    `radii` are the radii of spheres with the volumes of the aggregates [m].
     """
     shapes = scene.templates
     if all(len(shape.radii) == 1 for shape in shapes):
@@ -176,9 +176,9 @@ def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: fl
 def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.ndarray:
     """Return random radii [m], largest first, of as many aggregates as the scene's volume fraction requires.
 
-    The radii are those of spheres of equal volume. Of a sieve curve, only sizes that the cells resolve are drawn. There
-    is at least one aggregate. Warn if the volume of whole aggregates differs from the wanted volume by more than
-    `MAX_DEVIATION`.
+    The radii belong to spheres with the volumes of the aggregates. From a sieve curve, only sizes that the cells
+    resolve are drawn. There is at least one aggregate. Warn if the volume of whole aggregates differs from the wanted
+    volume by more than `MAX_DEVIATION`.
     """
     wanted = scene.simulated_fraction * volume
     curve = None if scene.sieve is None else scene.sieve.above(scene.diameters[0])

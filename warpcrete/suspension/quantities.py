@@ -1,4 +1,4 @@
-"""Results of a mortar with aggregates in a vessel, beyond those of free-surface flows."""
+"""Result quantities of mortar with aggregates in a vessel, in addition to the quantities of all free-surface flows."""
 
 from collections.abc import Iterator
 
@@ -60,7 +60,7 @@ def in_words(bodies: BodyState, scene: SphereFields) -> str:
 
 
 def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
-    """For aggregates with a sieve curve, yield the line of a report that states which part of them is simulated."""
+    """For aggregates with a sieve curve, yield the line of a report that states which fraction of them is simulated."""
     found = run.result.get("aggregates", {})
     if "stated_fraction" in found:
         part = found["fraction"] / found["stated_fraction"]
@@ -69,9 +69,10 @@ def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def report_aggregates(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the report of a free-surface flow, with the simulated part of the aggregates and what remains of them.
+    """Yield the report of a free-surface flow, with lines about its aggregates.
 
-    The last line states which fractions of the aggregates and of the mortar have not left through an open side.
+    If only a part of the aggregates is simulated, a line states which. If concrete may leave through an open side, a
+    line states which fractions of the aggregates and of the mortar remain.
     """
     yield from report(run)
     yield from aggregate_lines(run)

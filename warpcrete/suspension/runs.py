@@ -30,7 +30,7 @@ class AggregateRun(FlowRun):
     method = "suspension"
 
     def aggregate_columns(self) -> dict[str, float]:
-        """Return the smallest gap between aggregates or walls, relative to the radius, and the error of the solve."""
+        """Return the smallest gap of an aggregate, divided by its radius, and the error of the coupled solve."""
         gap = self.flow.aggregates.smallest_gap() if self.flow.steps else 0.0
         return {"smallest_gap": min(gap, 1.0), "coupled_error": self.flow.coupled.error}
 

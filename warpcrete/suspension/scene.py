@@ -22,7 +22,8 @@ diameters wide."""
 
 WITH_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0")
 USED_BY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", refused=False)
-"""Rule for a property of aggregates that a study may also state for its case without aggregates."""
+"""Rule for a property of aggregates. A study may state the property for its case without aggregates, too, where it has
+no effect."""
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
 USUAL_CELLS = 4.0

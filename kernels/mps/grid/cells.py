@@ -32,8 +32,8 @@ OPEN = wp.constant(0)
 SMOOTH = wp.constant(2)  # Value of `solid` in cells beyond an axis or plane of symmetry, a wall without friction.
 GATE = wp.constant(3)  # Value of `solid` in cells inside the gate, a wall that opens at given times.
 
-# AIR, LIQUID, FIXED, INSIDE and GHOST are the five kinds of faces between two cells. ROUGH, among them, is another
-# value of the array `solid`.
+# AIR, LIQUID, FIXED, INSIDE and GHOST are the five kinds of faces between two cells. ROUGH, which is defined among
+# them, is another value of the array `solid`.
 
 AIR = wp.constant(0)  # Kind of a face without concrete on either side.
 
@@ -172,7 +172,11 @@ def grid_parameters_struct(scalar, dimensions: int):
 
 @functools.cache
 def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
-    """Build the structs `Particles`, `Fields` (arrays on the grid), `Geometry` (position of walls) and `Walls`."""
+    """Build the structs `Particles`, `Fields` (arrays on the grid), `Geometry` (position of walls) and `Walls`.
+
+    In the shapes of arrays, `cells` is the number of cells including the frame around the grid, and n the number of
+    particles.
+    """
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
 
@@ -188,35 +192,35 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Fields:
-        solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (slots,).
-        liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
+        solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (cells,).
+        liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (cells,).
 
-        # Density of particles around each cell's centre, divided by that in full cells, shape (slots,).
+        # Density of particles around each cell's centre, divided by the density in full cells, shape (cells,).
         particle_density: wp.array(dtype=scalar)
-        fill: wp.array(dtype=scalar)  # Fraction of a cell's volume outside walls that concrete fills, shape (slots,).
-        count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
-        begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
+        fill: wp.array(dtype=scalar)  # Fraction of a cell's volume outside walls that concrete fills, shape (cells,).
+        count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (cells,).
+        begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (cells,).
 
         # Number of entries of `sorted_particles` that cells have reserved so far, shape (1,).
         reserved_places: wp.array(dtype=wp.int32)
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cell, shape (n,).
-        sorted_position: wp.array(dtype=t.vec)  # Positions of the particles in this order [m], shape (n,).
-        sorted_mass: wp.array(dtype=scalar)  # Relative masses of the particles in this order, shape (n,).
+        sorted_position: wp.array(dtype=t.vec)  # Positions in the order of `sorted_particles` [m], shape (n,).
+        sorted_mass: wp.array(dtype=scalar)  # Relative masses in the order of `sorted_particles`, shape (n,).
 
-        # Mass, position, velocity and gradient of the particles in this order, one number after the other (`columns.py`
-        # has the details). CPU only; there `sorted_position` and `sorted_mass` are empty.
+        # Mass, position, velocity and gradient in the order of `sorted_particles`, one number after the other
+        # (`columns.py` has the details). CPU only; there `sorted_position` and `sorted_mass` are empty.
         columns: wp.array(dtype=scalar)
 
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
-        # (axes * slots,).
+        # (axes * cells,).
         kind: wp.array(dtype=wp.int32)
-        velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
+        velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * cells,).
 
-        # Velocity across each face at the start of the implicit solve [m/s], shape (axes * slots,).
+        # Velocity across each face at the start of the implicit solve [m/s], shape (axes * cells,).
         start: wp.array(dtype=scalar)
-        volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
+        volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * cells,).
 
         # Area of the pipe's wall that lies along each face; 0 for faces away from walls.
         wall_area: wp.array(dtype=scalar)
@@ -229,7 +233,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         slip: wp.array(dtype=scalar)
         # Friction force of a wall that passes between two neighbouring faces, divided by the velocity of the concrete
         # relative to the wall. Both faces are perpendicular to axis a; the second face follows the first one along axis
-        # b. Shape (axes^2 * slots,); the index is (a * axes + b) * slots + c, where c is the cell of the first face.
+        # b. Shape (axes^2 * cells,); the index is (a * axes + b) * slots + c, where c is the cell of the first face.
         wall_stiffness: wp.array(dtype=scalar)
         # Friction force of a wall at the present velocity of the concrete, with the same indices as `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
@@ -237,24 +241,24 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # faces. `wall_weight` is the weight of the second face, with the same indices as `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
-        pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
-        increment: wp.array(dtype=scalar)  # Change of the pressure in each cell in this step [Pa], shape (slots,).
-        # Change of the pressure in each cell in the last step [Pa], shape (slots,); empty if the grid is always full.
+        pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (cells,).
+        increment: wp.array(dtype=scalar)  # Change of the pressure in each cell in this step [Pa], shape (cells,).
+        # Change of the pressure in each cell in the last step [Pa], shape (cells,); empty if the grid is always full.
         pressure_change: wp.array(dtype=scalar)
 
-        # Potential whose gradient, like that of a pressure, moves particles out of crowded regions [Pa], shape
-        # (slots,).
+        # Potential whose gradient moves particles out of crowded regions, as a pressure gradient would [Pa], shape
+        # (cells,).
         potential: wp.array(dtype=scalar)
-        in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (slots,).
-        in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
+        in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (cells,).
+        in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * cells,).
 
         # Shear stress at each corner of a pipe's cells in the previous step [Pa]; on a wall, the wall stress.
         stress: wp.array(dtype=scalar)
-        strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
+        strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (cells,).
 
-        # Square of each cell's shear rate without the contribution of one pair of axes [1/s2], shape (pairs * slots,).
+        # Square of each cell's shear rate without the contribution of one pair of axes [1/s2], shape (pairs * cells,).
         strain_without_pair: wp.array(dtype=scalar)
-        # Yield stress gained at rest in each cell [Pa], shape (slots,); empty without thixotropy.
+        # Yield stress gained at rest in each cell [Pa], shape (cells,); empty without thixotropy.
         gained: wp.array(dtype=scalar)
         # Yield stress that the slip layer gained at rest [Pa], one per face; empty without thixotropy.
         layer: wp.array(dtype=scalar)
@@ -267,32 +271,32 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Geometry:
         # Distance from the nearest wall, negative inside it [m], at 2^axes points of each cell: a quarter and three
-        # quarters of the cell along each axis. Shape (slots * 2^axes,), in which the first axis varies fastest.
+        # quarters of the cell along each axis. Shape (cells * 2^axes,), in which the first axis varies fastest.
         depth: wp.array(dtype=scalar)
-        room: wp.array(dtype=scalar)  # Fraction of each cell's volume that is free of wall, shape (slots,).
+        room: wp.array(dtype=scalar)  # Fraction of each cell's volume that is free of wall, shape (cells,).
 
         # Fraction of each quarter of a cell that is free of wall. For each pair of axes, a cell is halved along both
-        # axes, which gives four quarters. Shape (slots * pairs * 4,), in which the position along the pair's first axis
+        # axes, which gives four quarters. Shape (cells * pairs * 4,), in which the position along the pair's first axis
         # varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
-        # Volume around each cell's centre that is free of wall, shape (slots,). Each part of it is weighted with the
-        # function of the distance from the centre that also weights particles.
+        # Volume around each cell's centre that is free of wall, shape (cells,). Its parts are weighted by their
+        # distance from the centre, with the same function as particles.
         weighted_volume: wp.array(dtype=scalar)
-        opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
+        opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (cells,); empty without gate.
 
-        # Positions at which particles that have left the grid enter again [m]; empty if they do not.
+        # Positions at which particles that have left the grid enter again [m]; empty if none enters again.
         inlet: wp.array(dtype=t.vec)
-        # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * slots,).
+        # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * cells,).
         gap: wp.array(dtype=scalar)
-        part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).
+        part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * cells,).
 
         # Kind of each cell face that a wall closes: FIXED or INSIDE. There is one face for each axis and cell, shape
-        # (axes * slots,).
+        # (axes * cells,).
         shut: wp.array(dtype=wp.int32)
-        # Number of the wall nearest to each cell face. There is one face for each axis and cell, shape (axes * slots,).
+        # Number of the wall nearest to each cell face. There is one face for each axis and cell, shape (axes * cells,).
         surface: wp.array(dtype=wp.int32)
-        # Fraction of each face's area that a moving wall closes and no other wall, shape (axes * slots,); empty if no
-        # wall moves.
+        # Fraction of each face's area that moving walls close, without the parts that walls at rest close too, shape
+        # (axes * cells,); empty if no wall moves.
         swept: wp.array(dtype=scalar)
 
     @wp.struct

@@ -49,8 +49,8 @@ WEIGHTS = """
     }
     return sums;
 """
-"""C++ source of the loop over the particles of a cell, with the words in capitals to be replaced. Particles of the next
-cell in the last turn get the weight 0."""
+"""C++ source of the loop over the particles of a cell. The functions below replace the words in capitals. The last turn
+of the loop may read particles of the next cell, which get the weight 0."""
 
 
 @functools.cache

@@ -175,7 +175,7 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def friction_function(scalar, of: GridKind):
     """Build `wall_friction`, a function for the friction of a wall that passes between a cell face and the next one.
 
-    The next face is that along the axis `b`. The function returns three values:
+    The next face follows along the axis `b`. The function returns three values:
 
     - the friction force against the velocity of the face,
     - the derivative of this force with respect to that velocity,

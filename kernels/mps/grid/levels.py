@@ -4,7 +4,7 @@ A system has a row for each cell (pressure), or for each face (velocity). The ro
 plane) form one row of the next coarser level. The same holds for the rows of the faces with the same axis in these
 cells. With the matrix A of a level, and the matrix P that gives each row the value of its coarser row, the matrix of
 the next coarser level is P^T A P (unsmoothed aggregation). Rows couple neighbours only, on coarser levels as well, so
-rows of coarser matrices have no more entries than those of the finest one.
+rows of coarser matrices have no more entries than rows of the finest matrix.
 
 All levels share the same arrays, which contain the finest level first and the coarsest last. One task computes each row
 of a coarser matrix and adds up its entries in a fixed order, so the matrix has the same bits for any number of threads.
@@ -20,8 +20,8 @@ from ..structs import row_place
 from .cells import item
 
 DAMPING = wp.constant(1.8)
-"""Upper limit of the eigenvalues of the matrix times the smoothing factors. Below 2, a smoothing step reduces every
-error."""
+"""Upper limit of the eigenvalues of the matrix times the smoothing factors. With a limit below 2, every smoothing step
+reduces all components of the error."""
 SINGULAR = wp.constant(1.0e-4)
 """Lower limit of a coarse row's diagonal, divided by the sum of the diagonals of its finer rows.
 
@@ -55,7 +55,7 @@ def system_structs(scalar) -> SimpleNamespace:
         coefficient: wp.array(dtype=scalar)
         # Change of an unknown divided by its residual, in a smoothing step, shape (n,).
         smoothing: wp.array(dtype=scalar)
-        # For each matrix row, the row of the next coarser multigrid level that it becomes a part of, or -1, shape (n,).
+        # For each matrix row, the row of the next coarser multigrid level into which it is merged, or -1, shape (n,).
         parent: wp.array(dtype=wp.int32)
         # Rows of the finer matrix that form each row of a coarser one, with n rows in all multigrid levels and m in the
         # finest level. Unused entries are -1. The shape is ((n - m) * children,).

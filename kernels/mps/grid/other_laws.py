@@ -112,15 +112,15 @@ def edge_function(scalar, dimensions: int, law: str):
         if change <= scalar(0.01) * plain:
             return viscosity
         if over >= change:
-            # The stress differs by `change` over each of the two cells. The mean rate over the cells is nearly the rate
-            # at the corner's stress s, plus change^2 / 12 times the second derivative of the rate with respect to the
-            # stress. Therefore s is lower than the estimate by change^2 / 12 times `bend`, the ratio of second to first
-            # derivative.
+            # Let s be the shear stress at the corner where the two cells meet. From one side of a cell to the other,
+            # the stress changes by `change`. The mean rate over both cells is nearly the rate at the stress s plus
+            # change^2 / 12 times the second derivative of the rate with respect to the stress. Therefore s is lower
+            # than the estimate by change^2 / 12 times `bend`, which is the second derivative divided by the first.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
-        # Here the two cells contain the edge of a plug (unyielded concrete) or the middle of the pipe. Find the
-        # corner's stress s by Newton's method between two bounds. The mean shear rate over both cells must equal
-        # `rate`.
+        # In this case, the two cells that meet at the corner contain the edge of a plug (unyielded concrete) or the
+        # middle of the pipe. Find the shear stress s at the corner for which the mean shear rate over both cells equals
+        # `rate`, by Newton's method between two bounds.
         low = scalar(0.0)
         high = plain + change
         s = plain
@@ -187,9 +187,9 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         of the stress.
         """
         stiff = unyielded_viscosity(g)
-        # Slip and shear are each at most the whole speed. The stress that results if all of the speed is slip is
-        # therefore an upper bound, and so is the stress (with a margin) that results if all of it is shear. Use the
-        # smaller bound.
+        # The speed is the sum of slip and shear. The stress would be larger if the whole speed were slip, and also if
+        # the whole speed were shear. Both of these stresses are therefore upper bounds, the second one after
+        # multiplication by MARGIN. Use the smaller bound.
         steepest = (scalar(2.0) + scalar(1.0) / g.flow_index) * speed / width
         sheared = scalar(MARGIN) * (
             g.yield_stress + h.stress(g.viscosity, g.flow_index, g.quadratic_viscosity, steepest)
@@ -200,8 +200,9 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         growth = scalar(1.0)
         slip = scalar(0.0)
         # Newton's method divides by the derivative of the speed with respect to the stress. The largest apparent
-        # viscosity in the cell gives a lower limit for this derivative. Shear-thickening concrete has its largest
-        # apparent viscosity at the largest rate, all other concrete at the smallest.
+        # viscosity in the cell gives a lower limit for this derivative. In shear-thickening concrete, the apparent
+        # viscosity is largest at the largest shear rate; in all other concrete, it is largest at the smallest shear
+        # rate.
         least = scalar(0.1) * width / wp.max(stiff, apparent(g, steepest))
         for _ in range(40):
             over = wp.max(stress - slip_yield, scalar(0.0))

@@ -56,7 +56,7 @@ class Pace:
     floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
 
     # Second limit for the error of a step, divided by the change of the rms speed in the transfer of velocities from
-    # particles to the grid. The larger one of this limit and that of `error` applies.
+    # particles to the grid. The larger of this limit and the limit `error` applies.
     transfer: wp.float64
     viscous: wp.float64  # Residual norm at which the viscous solve stops in a step of the longest allowed length.
     pressure: wp.float64  # Residual norm at which the pressure solve stops in a step of the longest allowed length.

@@ -29,13 +29,13 @@ from .places import grid_functions
 CORRECTED, CORRECTED_MOVING = 0.1, 0.5
 """Fraction of a cell's excess or lack of particles that one step corrects. The first value holds for concrete at rest,
 the second for concrete that moves by a cell per step. Particles crowd together as they move, most of all at the
-surface. With 0.1 for both, an L-box and a funnel lose 1.5 and 4 % of their volume, instead of 0.8 and 1.2 % with these
-values. With 0.3 for both, corrections keep concrete moving that should come to rest."""
+surface. If both values were 0.1, an L-box would lose 1.5 % of its volume instead of 0.8 %, and a funnel 4 % instead of
+1.2 %. If both were 0.3, the corrections would keep concrete moving that should come to rest."""
 CARRIED = 0.8
 """Largest fraction of a cell's last pressure change that is added to its next change, in flows with a free surface."""
 STIFF = 5.0
 """Viscous number of a cell, eta dt / (rho h^2), at which half of `CARRIED` is used. The viscosity eta is the apparent
-one, and h is the width of the cell. With 30, half of the effect in a spreading heap is lost."""
+one, and h is the width of the cell. If STIFF were 30, half of the effect in a spreading heap would be lost."""
 
 
 @functools.cache

@@ -36,7 +36,7 @@ def break_kernel(scalar, of: GridKind):
     """Build the kernel that updates the yield stress gained at rest, in each cell and in the slip layer.
 
     The flow breaks down the structure that has built up at rest. The kernel computes one time step, with one thread per
-    cell; the slip layer is that along the faces of the cell.
+    cell. This thread also updates the slip layer along the faces of the cell.
     """
     Grid = grid_parameters_struct(scalar, of.dimensions)
     structs = grid_structs(scalar, of.dimensions)

@@ -88,8 +88,8 @@ def particle_functions(scalar, of: GridKind):
     def cell_beside(g: Grid, c: whole, n: wp.int32, axis: wp.int32):
         """Return the cell number `n` around a cell or around one of its lower faces, and whether the grid has it.
 
-        The face is that of an axis; the axis -1 means the cell. There are three cells along each axis, but only two
-        along the axis of a face.
+        The face is the lower side of cell `c` along `axis`; an `axis` of -1 stands for the cell itself. The cells
+        around cell `c` are three along each axis. The cells around a face are only two along the axis of the face.
         """
         o = whole()
         there = wp.bool(True)

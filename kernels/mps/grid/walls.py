@@ -16,7 +16,7 @@ SLOW = wp.constant(1.0e-6)
 """Slip velocity below which the viscous stress of a nonlinear slip layer is smoothed to be nearly linear [m/s]."""
 STICKY = wp.constant(20.0)
 """Stiffness of a slip layer to which concrete sticks, divided by the shear stiffness of a cell of concrete. It limits
-the stiffness of all slip layers, because sticking without any slip would need an infinite one."""
+the stiffness of all slip layers, because sticking without any slip would need an infinite stiffness."""
 
 
 @functools.cache

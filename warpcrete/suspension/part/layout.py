@@ -60,8 +60,8 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
     found = aggregates_within(scene, float(volume[-1]), distance, corners, corners, scene.seed, draw=draw)
     enters, appears = _times(found, lambda x: axis.along(frame.to_scene(x)), speed, scene, layout)
     gravity = frame.axes @ [0.0, 0.0, -scene.gravity]
-    # All aggregates start with the mean velocity of the flow at their places, so that those behind the plane do not
-    # push others.
+    # All aggregates start with the mean velocity of the flow at their places, so that aggregates behind the plane do
+    # not push others.
     depth = axis.along(frame.to_scene(found.centre))
     fast = speed * (scene.radius / scene.bore(np.maximum(depth, 0.0))) ** 2
     start = fast[:, None] * (axis.at(depth)[1] @ frame.axes.T)
@@ -73,8 +73,8 @@ def _times(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the times at which aggregates have entered entirely, and from which they are in the simulated box [s].
 
-    `along` gives the arc lengths of points [m], and `speed` is that of the plane through which aggregates enter [m/s].
-    An aggregate has entered when it does not touch the plane any more.
+    `along` gives the arc lengths of points [m], and `speed` is the speed of the plane through which aggregates enter
+    [m/s]. An aggregate has entered when it does not touch the plane any more.
     """
     parts = Spheres(aggregates)
     depth = along(parts.centres(aggregates.centre, aggregates.turns))

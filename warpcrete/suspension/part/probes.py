@@ -71,8 +71,9 @@ class Census:
     def friction(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m], and the frictional loss from each of them to the end of the part [Pa].
 
-        The axial stress is that of the flow plus that of the forces between aggregates. It also carries the weight of
-        the aggregates minus their buoyancy, which is not friction.
+        The axial stress is the sum of the stress in the flow and the stress due to forces between aggregates. A part of
+        this sum carries the weight of the aggregates minus their buoyancy. This part is subtracted, because it is not
+        friction.
         """
         state = self.flow.state
         inner = (slice(1, -1),) * 3
@@ -112,8 +113,8 @@ class Census:
 
         `before` holds the arc lengths of the aggregates at the previous measurement [m]. The advance of an aggregate is
         multiplied by the area of the bore around it and divided by the area at the start of the part, so that concrete
-        which flows evenly through a taper advances by the same amount everywhere. `least_advance` finds the slowest
-        aggregates, for discrete elements too.
+        which flows evenly through a taper advances by the same amount everywhere. The function `least_advance` finds
+        the slowest aggregates; simulations with discrete elements use it as well.
         """
         if travel <= 0:
             return 1.0
@@ -132,7 +133,7 @@ def measured(census: Census, before: np.ndarray, travel: float) -> tuple[dict[st
 
     The profiles are the arc lengths of the stations [m], the loss from each of them to the end of the part [Pa], and
     the volume fraction of aggregates there. `before` holds the arc lengths of the aggregates at the previous
-    measurement [m], since which the inflow has advanced by `travel` [m].
+    measurement [m]. The inflow has advanced by `travel` [m] since then.
     """
     flow = census.flow
     friction = census.friction()

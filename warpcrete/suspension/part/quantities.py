@@ -96,8 +96,8 @@ QUANTITIES = (
     Quantity("blocked_pressure", "Pa", lambda k: k.if_blocked(k.at_end("pressure")),
              meaning="Pressure at the inlet at the end of a blocked run", only_if=BLOCKED),
 )  # fmt: skip
-"""Results of a part with aggregates. Pressures and losses are means over the last half of the run, and the theory is
-that of the mortar alone. Results of a blockage have the same names as in simulations with discrete elements."""
+"""Results of a part with aggregates. Pressures and losses are means over the last half of the run. Values by theory
+hold for the mortar alone. Results of a blockage have the same names as in simulations with discrete elements."""
 
 
 def report_part(run: Run) -> Iterator[tuple[str, str]]:

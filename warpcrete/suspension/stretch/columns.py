@@ -29,7 +29,7 @@ DURATION = 1.0
 UNUSED = ("time_step", "step_error", "steadiness", "rest", "rebuild_rate", "tolerated_error", "slip_thickness")
 """Parameters of columns that flows with aggregates do not have. Each must have its default."""
 ANY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", ("aggregates",), refused=False)
-"""Rule for a parameter of aggregates, be they simulated one by one or as groups of particles."""
+"""Rule for a parameter of aggregates, which are simulated either one by one or as groups of particles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +106,7 @@ def column_trading(dimensions: int) -> Trading:
 def stretch_knobs(given: Any) -> Iterator[Knob]:
     """Yield the settings that a trade-off study varies in a stretch of pipe or channel with aggregates.
 
-    `given` holds the parameters of the scene: those of :class:`ColumnWithAggregates` or of the scene `stretch`.
+    `given` is an instance of :class:`ColumnWithAggregates`, or holds the parameters of the scene `stretch`.
     """
     coarsest = min(given.diameters[0] / MIN_CELLS, given.diameter / 8)
     factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]

@@ -82,7 +82,7 @@ class StretchDisplay(SphereDisplay):
         return (driven, Plot("migration", "Aggregates", (radius,)))
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity over the radius, and that of the mortar without aggregates by theory."""
+        """Return the velocity over the radius, and the theoretical velocity of the mortar without aggregates."""
         return (Profile("velocity", "Velocity [m/s] over the radius [mm]", (
             Points("this run", lambda: self._velocities()[0], RUN),
             Points("mortar alone, theory", lambda: self._velocities()[1], THEORY),

@@ -82,7 +82,7 @@ def stretch_layout(scene: StretchScene) -> tuple[GridLayout, Aggregates]:
     high = np.array([scene.radius, scene.depth or scene.radius, scene.length])
     filled = float(np.sum(mass)) * layout.volume
     aggregates = aggregates_within(scene, filled, clear, low, high, scene.seed, True)
-    # The driving force acts on the open volume of the cells, which differs a little from that of the pipe.
+    # The driving force acts on the open volume of the cells, which differs a little from the volume of the pipe.
     volume = float(geometry.room[1:-1, 1:-1, 1:-1].sum()) * float(np.prod(room.width))
     part = 4 / 3 * np.pi * float(np.sum(aggregates.radius**3)) / volume
     weight = part * (scene.aggregate_density - concrete.density) * scene.gravity

@@ -22,7 +22,8 @@ class RunData:
     scene: StretchScene
     series: dict[str, np.ndarray]
     fraction: float
-    """Volume fraction of the placed aggregates. It differs from that of the scene, because aggregates are whole."""
+    """Volume fraction of the placed aggregates. It differs from the scene's fraction, because only whole aggregates are
+    placed."""
 
     def mean(self, name: str) -> float | None:
         """Return the mean of a column over the last half of the run, or None if there is no such column."""
@@ -128,5 +129,5 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """For aggregates with a sieve curve, yield the line of a report that states which part of them is simulated."""
+    """For aggregates with a sieve curve, yield the line of a report that states which fraction of them is simulated."""
     yield from aggregate_lines(run)

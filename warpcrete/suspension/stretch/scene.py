@@ -80,8 +80,8 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     slips: bool
     """True if mortar slips on the wall with its slip layer; False if it sticks to the wall."""
     mean_velocity: float | None = None
-    """Mean velocity that the driving force keeps constant [m/s]; `gradient` is then that of the mortar alone by theory.
-    None if the pressure gradient is constant."""
+    """Mean velocity that the driving force keeps constant [m/s]; `gradient` is then the gradient by theory for the
+    mortar alone. None if the pressure gradient is constant."""
     depth: float = 0.0
     """For a flow between two planes at x = -radius and x = radius, the extent along y [m], which ends at planes of
     symmetry; 0 for a round pipe."""
