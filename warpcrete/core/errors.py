@@ -113,7 +113,7 @@ def quoted(value: object) -> str:
         return f"a number of {value.bit_length()} bits"
     try:
         text = repr(value)
-    except (RecursionError, ValueError):  # `repr` fails for deep nesting and huge integers, so name only the type.
+    except Exception:  # `repr` fails for deep nesting, huge integers and some objects, so name only the type.
         text = f"<{type(value).__name__}>"
     return one_line(text, LONGEST_VALUE)
 
@@ -199,6 +199,20 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
         if not math.isfinite(lower):
             span = "a finite number in" if unit else "a finite number"
         refuse(field, value, f"must be {span}{' ' + unit if unit else ''}", hint)
+
+
+def whole(field: str, value: object, lower: int, upper: int | None = None) -> None:
+    """Raise :class:`SceneError` unless `value` is a whole number in [lower, upper], or of at least `lower`."""
+    fits = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= lower
+    if not fits or (upper is not None and value > upper):
+        span = f"of at least {lower}" if upper is None else f"from {lower} to {upper}"
+        refuse(field, value, f"must be a whole number {span}")
+
+
+def callback(field: str, value: object) -> None:
+    """Raise :class:`SceneError` unless `value` is a function, or None or False for no function."""
+    if value is not None and value is not False and not callable(value):
+        refuse(field, value, "must be a function, or None")
 
 
 def one_of(field: str, value: object, choices: Iterable[object]) -> None:

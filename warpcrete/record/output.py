@@ -1,6 +1,7 @@
 """Folder of one run: the same files for `warpcrete run --out` and for `Simulation(out=...)` in Python."""
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from ..core.errors import one_of, refuse
 from ..core.inputs.field_help import help_on_fields
 from ..core.inputs.origin import Arguments
 from ..core.run.checks import Check
-from ..core.run.files import check_new
+from ..core.run.files import check_new, folder_path
 from ..core.run.output import register_folders
 from ..core.run.recorder import Recorder
 from ..core.run.viewer import LOOPBACK
@@ -56,10 +57,22 @@ class RunFolder:
     def __post_init__(self) -> None:
         if isinstance(self.recordings, str):
             object.__setattr__(self, "recordings", (self.recordings,))
+        if self.recordings is not None and not isinstance(self.recordings, Iterable):
+            refuse("recordings", self.recordings, "must be a list of names, or None")
         for name in self.recordings or ():
             one_of("recordings", name, tuple(kind.name for kind in RECORDERS))
+        for name in ("network", "live", "colour", "bind"):
+            self._check_kind(name)
+        folder_path("folder", self.folder)
         if not self._holds_run():
             check_new(self.path)
+
+    def _check_kind(self, name: str) -> None:
+        value = getattr(self, name)
+        text = isinstance(value, str) or (name == "colour" and value is None)
+        if not (text if name in ("colour", "bind") else isinstance(value, bool) or (name == "live" and text)):
+            allowed = {"network": "True or False", "live": "True, False or the URL of a viewer"}
+            refuse(name, value, f"must be {allowed.get(name, 'text')}")
 
     @property
     def path(self) -> Path:
@@ -67,7 +80,7 @@ class RunFolder:
         return Path(self.folder)
 
     def _holds_run(self) -> bool:
-        return (self.path / "scene.json").is_file()
+        return os.path.isfile(self.path / "scene.json")
 
     def _chosen(self) -> dict[str, bool]:
         """Return which kinds of recordings are written: True or False by the name of each kind."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import refuse
-from ..core.run.files import next_folder
+from ..core.run.files import output_folder
 from ..core.run.progress import progress_bar, stderr_is_terminal
 from .study import Progress, run_study
 from .study_result import Study
@@ -33,10 +33,12 @@ def study(
     if not isinstance(vary, Mapping):
         refuse("vary", vary, "must map each parameter to a list of values", 'for example vary={"velocity": [0.3, 0.5]}')
     for key, values in vary.items():
+        if not isinstance(key, str):
+            refuse("vary", key, "is not the name of a parameter", 'for example vary={"velocity": [0.3, 0.5]}')
         if isinstance(values, str) or not isinstance(values, Iterable):
             refuse(key, values, "must be a list of values", f'for example vary={{"{key}": [{values!r}, ...]}}')
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
-    folder = Path(out) if out else next_folder("study")
+    folder = output_folder(out, "study")
     if "progress" in settings:
         return run_study(name, module, vary, base=given, out=folder, **settings)
     with study_progress(not stderr_is_terminal() if quiet is None else quiet) as tell:

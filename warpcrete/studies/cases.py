@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..core.errors import refuse
+from ..core.errors import refuse, whole
 
 MAX_NAME_LENGTH = 120
 """Maximum length of a run folder's name [characters]; file systems allow 255 bytes."""
@@ -44,8 +44,7 @@ def cases_of(
     from its value in `base` or its default, and identical cases are merged. `seeded` is True if the scene has a seed.
     Raises :class:`SceneError` for empty or repeated values and for too many cases.
     """
-    if not 1 <= repeat <= MAX_CASES:
-        refuse("repeat", repeat, f"must be from 1 to {MAX_CASES}")
+    whole("repeat", repeat, 1, MAX_CASES)
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
             refuse(name, values, "must be one or more values that are all different")

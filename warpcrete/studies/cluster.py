@@ -22,7 +22,7 @@ import warp as wp
 
 from ..core.device.device import default_threads, find_device
 from ..core.device.interrupts import StopAtSample, ignore_interrupts
-from ..core.errors import WarpcreteError, between, refuse, warn_in_one_line
+from ..core.errors import WarpcreteError, refuse, warn_in_one_line, whole
 from ..core.run.provenance import processor, provenance
 from ..core.run.viewer import LOOPBACK
 from .cases import Case
@@ -47,6 +47,8 @@ class WorkerLost(WarpcreteError):
 
 def check_scheduler(scheduler: str | None, workers: int | None, processes: int | None = None) -> None:
     """Raise an error if scheduler settings contradict each other or if the package Dask is missing."""
+    if processes is not None:
+        whole("processes", processes, 1)
     if scheduler is None:
         if workers is not None:
             problem = "has no effect without a scheduler"
@@ -55,7 +57,7 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
     if processes is not None:
         refuse("processes", processes, "cannot be combined with a scheduler", "set 'workers' instead")
     if workers is not None:
-        between("workers", workers, 1, 1e5)
+        whole("workers", workers, 1, 100_000)
         if scheduler not in SCHEDULERS:
             refuse(
                 "workers", workers, f"cannot be set for '{scheduler}', which has its own workers", "leave out 'workers'"

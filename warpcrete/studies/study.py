@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from ..core.device.device import find_device
-from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, quoted, refuse
+from ..core.errors import InstabilityError, RunFolderError, SceneError, between, callback, positive, quoted, refuse
 from ..core.inputs.amounts import written_unit
 from ..core.inputs.by_name import names_from_file
 from ..core.inputs.limits import check_limit
 from ..core.inputs.origin import check_files, check_named
+from ..core.inputs.parameters import CompositeRule
 from ..core.run.files import check_new, is_full, read_record, write_json
 from ..core.run.folders import locked_folder, new_folder
 from ..core.run.provenance import provenance
@@ -118,6 +119,7 @@ def run_listed(
         positive("frames", frames, "1/s")
         check_limit("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
+    callback("progress", progress)
     files: dict[str, str] = {}
     check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
@@ -280,7 +282,13 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
                 refuse(name, value, "is an object, but only names and numbers can be varied",
                        "give the name of the object's class instead, and vary its parameters, whose names begin with "
                        f"{name}_")  # fmt: skip
-    return {name: [scene.resolved({name: value})[name] for value in values] for name, values in varied.items()}
+    found = {name: [scene.resolved({name: value})[name] for value in values] for name, values in varied.items()}
+    for name, field in scene.fields({}).items():
+        if name in found and not any(field.of_kind(CompositeRule)):
+            used = [repr(field.converted(value, name)) for value in found[name]]
+            if len(set(used)) < len(used):
+                refuse(name, found[name], "must be one or more values that are all different")
+    return found
 
 
 def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:

@@ -3,7 +3,7 @@
 import csv
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -146,6 +146,12 @@ class Study:
                 f"the study has no case {case!r}; its cases are {', '.join(self._ipython_key_completions_())}"
             )
         return load_run(self.folder / case)
+
+    def __contains__(self, case: object) -> bool:
+        return case in self._ipython_key_completions_()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._ipython_key_completions_())
 
     def _ipython_key_completions_(self) -> list[str]:
         return [case.name for case in self.cases]

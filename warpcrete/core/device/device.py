@@ -9,7 +9,8 @@ from pathlib import Path
 
 import warp as wp
 
-from ..errors import DeviceError, one_of, refuse
+from ..errors import DeviceError, one_of, quoted, refuse
+from ..narrowing import is_number
 from .arrays import Scalar
 from .kernel_files import kernel_cache_errors
 
@@ -50,6 +51,8 @@ def find_device(name: str | None) -> wp.Device:
 
     Raises :class:`DeviceError` if there is no such device.
     """
+    if name is not None and not isinstance(name, str):
+        raise DeviceError(f"device = {quoted(name)}: must be text, such as 'cpu' or 'cuda:0', or None")
     quiet_init()
     available = [str(device) for device in wp.get_devices()]
     if name is None:
@@ -127,9 +130,9 @@ def checked_threads(threads: int | None) -> int:
     if threads is None:
         return default_threads()
     cores = os.cpu_count() or 1
-    if not 1 <= threads <= cores:
+    if not is_number(threads) or int(threads) != threads or not 1 <= threads <= cores:
         refuse("threads", threads, f"must be in [1, {cores}], the number of cores of this machine")
-    return threads
+    return int(threads)
 
 
 def memory_free(device: wp.Device) -> float:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from ..errors import DiskFullError, RunFolderError, quoted
+from ..errors import DiskFullError, RunFolderError, quoted, refuse
 from ..inputs.text_files import read_json
 from ..narrowing import is_dict, is_list_or_tuple
 
@@ -146,6 +146,15 @@ def _refuse_entry(path: Path, name: str, value: object) -> NoReturn:
                          "start again in a new folder")  # fmt: skip
 
 
+def folder_path(field: str, value: object) -> Path:
+    """Return the path of a folder; raises :class:`SceneError` about `field` if `value` can be no path."""
+    if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
+        refuse(field, value, "must be the path of a folder, as text or a pathlib.Path")
+    if "\0" in os.fspath(value):
+        refuse(field, os.fspath(value), "contains a NUL character", "remove it")
+    return Path(value)
+
+
 def check_new(folder: Path) -> None:
     """Refuse an output folder that is not empty, or that cannot be created and written to.
 
@@ -190,6 +199,11 @@ def remove_partial(folder: Path) -> None:
     """Remove the incomplete files that a killed process left in a folder."""
     for path in folder.glob(f"{PARTIAL}*"):
         path.unlink(missing_ok=True)
+
+
+def output_folder(out: object, name: str) -> Path:
+    """Return the path `out`, or if it is None the first folder name `runs/NAME-NNN` that does not exist yet."""
+    return next_folder(name) if out is None else folder_path("out", out)
 
 
 def next_folder(name: str) -> Path:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ..errors import WarpcreteError, refuse
+from .files import folder_path
 
 CHECKPOINT = "checkpoint.npz"
 """File name of the checkpoint in a run folder."""
@@ -53,4 +54,4 @@ def output_of(out: str | Path | RunOutput) -> RunOutput:
         return out
     if _folder_at is None:
         raise WarpcreteError("out: needs the package warpcrete.record; use warpcrete.Simulation, which imports it")
-    return _folder_at(Path(out))
+    return _folder_at(folder_path("out", out))

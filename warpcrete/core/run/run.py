@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,12 +93,18 @@ class Run:
         """
         quantities = self.quantities
         if name not in quantities:
-            similar = difflib.get_close_matches(name, quantities, 3)
+            similar = difflib.get_close_matches(str(name), quantities, 3)
             what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
             if condition := conditions_of(self.scene).get(name):
                 what = f": runs that measure it have it only if {condition}{what}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
         return quantities[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.quantities
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.quantities)
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self.quantities)

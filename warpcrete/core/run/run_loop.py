@@ -15,7 +15,7 @@ import numpy as np
 from ..device.device import checked_threads, find_device, scalar_of
 from ..device.interrupts import terminate_as_interrupt
 from ..device.launching import report_compiling
-from ..errors import RunFolderError, SceneError, WarpcreteError, between, positive, refuse
+from ..errors import RunFolderError, SceneError, WarpcreteError, between, callback, positive, refuse
 from ..units import number as number_of
 from . import checkpoint
 from .checkpointed import CheckpointedSimulation
@@ -74,6 +74,8 @@ class Simulation(CheckpointedSimulation):
         checkpoint_every: float = DEFAULT_CHECKPOINT_INTERVAL,
     ) -> None:
         between("checkpoint_every", checkpoint_every, 0, np.inf, "s")
+        if progress is not True:
+            callback("progress", progress)
         self.scene = scene
         self.device = find_device(device)
         self.precision = precision or scene.precision

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 
 from ...core.device.device import find_device
-from ...core.errors import RunFolderError, WarpcreteError, between, refuse
+from ...core.errors import RunFolderError, WarpcreteError, callback, refuse, whole
 from ...core.extras import needs_extra
 from ...core.inputs.origin import check_files, files_read
-from ...core.run.files import check_new, next_folder, read_record, write_json
+from ...core.run.files import check_new, output_folder, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ..cases import MAX_CASES, Case
+from ..cluster import check_scheduler
 from ..study import resume_study, run_listed
 from ..study_result import Study
 from .calibration import Calibration, Trial
@@ -53,7 +54,9 @@ def calibrate(
     :func:`run_calibration`.
     """
     asked = Path(targets) if isinstance(targets, str) else targets
-    return run_calibration(asked, modules(), out=Path(out) if out else next_folder("calibration"), **settings)
+    if not isinstance(asked, Path | Mapping):
+        refuse("targets", targets, "must be the path of a YAML file, or a mapping")
+    return run_calibration(asked, modules(), out=output_folder(out, "calibration"), **settings)
 
 
 def run_calibration(
@@ -91,11 +94,11 @@ def run_calibration(
     most = 10 + 10 * free if trials is None else trials
     batch_size = 4 + 2 * free if batch is None else batch
     _check_trial_count(most)
-    if not 1 <= batch_size <= MAX_CASES:
-        refuse("batch", batch_size, f"must be from 1 to {MAX_CASES}")
-    if not 0 <= repeat <= MAX_CASES:
-        refuse("repeat", repeat, f"must be from 0 to {MAX_CASES}")
-    between("seed", seed, 0, 2**31)
+    whole("batch", batch_size, 1, MAX_CASES)
+    whole("repeat", repeat, 0, MAX_CASES)
+    whole("seed", seed, 0, 2**31)
+    check_scheduler(scheduler, workers, processes)
+    callback("progress", progress)
     check_new(out)
     settings = {"trials": most, "batch": batch_size, "repeat": repeat, "seed": seed, "device": device,
                 "precision": precision}  # fmt: skip
@@ -132,8 +135,7 @@ def resume_calibration(
 
 
 def _check_trial_count(most: int) -> None:
-    if not 4 <= most <= MAX_CASES:
-        refuse("trials", most, f"must be from 4 to {MAX_CASES}")
+    whole("trials", most, 4, MAX_CASES)
 
 
 def _record(folder: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ...core.inputs.by_name import names_from_file
 from ...core.inputs.fingerprints import fingerprint
 from ...core.inputs.knobs import Knob
 from ...core.inputs.origin import arguments_of
-from ...core.run.files import read_json, read_record, write_json
+from ...core.run.files import folder_path, read_json, read_record, write_json
 from ...core.run.forecast import Forecast
 from ...core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES
 from ...core.run.provenance import provenance
@@ -79,16 +79,18 @@ def explain(
     sentence before measurements, which may take minutes if kernels must be compiled first. Raises the same errors as a
     run of the scene before its first step.
     """
+    method = method_of(scene)
     found = find_device(device)
     threads = checked_threads(threads)
     # Read the trade-off record first, so that a wrong folder is refused before the measurements.
-    savings, source = _measured_savings(scene, Path(trade) if trade else None, found.is_cuda)
+    folder = None if trade is None else folder_path("trade", trade)
+    savings, source = _measured_savings(scene, folder, found.is_cuda)
     path = _cached(scene, found, threads) if cache else None
     forecast = _read(path) if path is not None else None
     if forecast is None:
         if announce is not None:
             announce(MEASURING)
-        forecast = method_of(scene).forecast(scene, found, scene.precision, threads, _frames)
+        forecast = method.forecast(scene, found, scene.precision, threads, _frames)
         words = provenance(found, scene.precision, 0)
         name = words["device_name"] if found.is_cuda else f"{words.get('processor') or 'CPU'}, {threads} threads"
         forecast = replace(forecast, device=name)

@@ -9,17 +9,17 @@ would falsify each other's wall times. Therefore only one run at a time takes pl
 
 import importlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ...core.device.device import default_threads, find_device
-from ...core.errors import RunFolderError, at_least, between, positive, refuse
+from ...core.errors import RunFolderError, at_least, between, callback, positive, refuse, whole
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.hyphens import spelled
 from ...core.inputs.limits import check_limit
 from ...core.inputs.origin import check_files, check_named
-from ...core.run.files import check_new, next_folder, read_json, read_record, write_json
+from ...core.run.files import check_new, output_folder, read_json, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
 from ...core.run.provenance import provenance, versions
 from ...methods import Simulation, method_of
@@ -49,7 +49,7 @@ def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     """
     name, module = module_of(scene)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
-    return run_trade(name, module, base=given, out=Path(out) if out else next_folder("trade"), **settings)
+    return run_trade(name, module, base=given, out=output_folder(out, "trade"), **settings)
 
 
 def run_trade(
@@ -89,6 +89,10 @@ def run_trade(
     given = module.scene.declared(base or {})
     parameters = module.scene.plain(scene, base or {})
     known = {each.name: each for each in method_of(scene).quantities}
+    for field, names in (("quantities", quantities), ("knobs", knobs)):
+        if names is not None and (isinstance(names, str) or not isinstance(names, Iterable)):
+            refuse(field, names, "must be a list of names, or None")
+    callback("progress", progress)
     chosen = list(quantities or trading.quantities)
     for name in chosen:
         if name not in known:
@@ -102,10 +106,10 @@ def run_trade(
         if name not in all_knobs:
             refuse("knob", name, f"must be one of {', '.join(all_knobs)}")
     seeded = _random(scene)
+    if repeat is not None:
+        whole("repeat", repeat, 1, MAX_CASES)
     if repeat is not None and repeat > 1 and not seeded:
         refuse("repeat", repeat, "must be 1, because nothing in this scene is random", "leave out 'repeat'")
-    if repeat is not None and repeat > MAX_CASES:
-        refuse("repeat", repeat, f"must be at most {MAX_CASES}")
     if repeat is not None and repeat < (2 if seeded else 1):
         refuse("repeat", repeat, "must be at least 2, to measure the scatter between seeds" if seeded else "must be 1")
     positive("budget", budget, "s")
