@@ -175,9 +175,16 @@ def test_theory_takes_the_slip_viscosity_of_a_thick_layer_from_the_paper_as_runs
         (["run", "tube", "--radius", "0.05"], "No such option '--radius'; use '--diameter', which has replaced it"),
         (["theory", "--mix", "no1"], "No such option '--mix'; use '--concrete', which has replaced it"),
         (["study", "tube", "--radius", "0.05", "0.06"], "did you mean --diameter?"),
+        (["run", "part", "--velocity", "0.5"], "use '--flow', which is the mean velocity times the area of the bore"),
+        (["run", "pipe", "--flow", "30m3/h"], "use '--velocity', which is the flow divided by the area of the bore"),
+        (["study", "pipe", "--flow", "30m3/h"], "did you mean --velocity, which is the flow divided by the area"),
+        (["study", "tube", "--threads", "2"], "did you mean --processes, the number of cases that run at once?"),
+        (["run", "tube", "--processes", "2"], "use '--threads', the number of threads of the run"),
+        (["run", "part", "--flow", "0.5m/s"], "this is a velocity; multiply it by the area of the bore, 0.785 times"),
+        (["run", "pipe", "--velocity", "30 m3/h"], "this is a flow; divide it by the area of the bore, 0.785 times"),
     ],
 )
-def test_a_former_name_is_refused_with_the_present_one(words, told, capsys, monkeypatch):
+def test_a_former_or_related_name_is_refused_with_the_right_one(words, told, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["warpcrete", *words])
     with pytest.raises(SystemExit) as end:
         main()
@@ -187,3 +194,5 @@ def test_a_former_name_is_refused_with_the_present_one(words, told, capsys, monk
 def test_a_scene_function_names_the_present_name_of_a_parameter():
     with pytest.raises(SceneError, match=r"parameter = 'radius': .*did you mean 'diameter'"):
         scenes.tube(radius=0.05)
+    with pytest.raises(SceneError, match=r"parameter = 'velocity': .*did you mean 'flow', which is the mean velocity"):
+        scenes.tube(velocity=0.5)

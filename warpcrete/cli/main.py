@@ -11,7 +11,15 @@ from typing import Any, NoReturn
 
 import click
 
-from ..core.errors import RENAMED, DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
+from ..core.errors import (
+    RELATED,
+    RENAMED,
+    DiskFullError,
+    InstabilityError,
+    WarpcreteError,
+    one_line,
+    warn_in_one_line,
+)
 from .console import prepare_streams
 from .help_pages import Commands, GroupedCommand, full_help_option
 from .option_types import DEVICE, FLOW, GROWTH, LENGTH, PATH, POWER, PRESSURE, TIME, Completed
@@ -335,6 +343,16 @@ def _fail(text: str, code: int) -> NoReturn:
     raise SystemExit(code) from None
 
 
+def _unknown_option(error: click.NoSuchOption, text: str) -> str:
+    """Return the message for an unknown option: `text`, or one that names an option of the same purpose."""
+    wrong = error.option_name[2:].replace("-", "_")
+    known = [] if error.ctx is None else [f"--{each.name}" for each in error.ctx.command.params]
+    if (name := RENAMED.get(wrong)) is not None:
+        return f"No such option {error.option_name!r}; use '--{name.replace('_', '-')}', which has replaced it"
+    name, meaning = RELATED.get(wrong, ("", ""))
+    return f"No such option {error.option_name!r}; use '--{name}', {meaning}" if f"--{name}" in known else text
+
+
 def main() -> None:
     """Run the command, and report every expected error as one line on stderr.
 
@@ -356,8 +374,8 @@ def main() -> None:
         raise SystemExit(2) from None
     except click.UsageError as error:
         text = " ".join(error.format_message().split())
-        if isinstance(error, click.NoSuchOption) and (name := RENAMED.get(error.option_name[2:].replace("-", "_"))):
-            text = f"No such option {error.option_name!r}; use '--{name.replace('_', '-')}', which has replaced it"
+        if isinstance(error, click.NoSuchOption):
+            text = _unknown_option(error, text)
         _fail(text, 2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)

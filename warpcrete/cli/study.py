@@ -232,7 +232,8 @@ def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, li
         negative = option.startswith("no-") and option[3:].replace("-", "_") in known
         name = (option[3:] if negative else option).replace("-", "_")
         if name not in known:
-            meant = suggested(name, known).replace("_", "-").replace("'", "")
+            meant = suggested(name, (*known, *(("processes",) if name == "threads" else ())))
+            meant = meant.replace("_", "-").replace("'", "")
             raise click.UsageError(
                 f"--{option}: is not a parameter of this scene; "
                 + (meant or "'warpcrete run SCENE --help-all' lists its parameters").replace("you mean ", "you mean --")

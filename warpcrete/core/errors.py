@@ -158,12 +158,27 @@ RENAMED = {
 """Names of parameters that warpcrete 0.2 still accepted, and their present names. The diameter is twice the radius."""
 
 
+RELATED = {
+    "flow": ("velocity", "which is the flow divided by the area of the bore"),
+    "velocity": ("flow", "which is the mean velocity times the area of the bore"),
+    "threads": ("processes", "the number of cases that run at once"),
+    "processes": ("threads", "the number of threads of the run"),
+}
+"""Names of parameters and options for which some commands have another one with the same purpose, and its meaning."""
+
+
 def suggested(word: object, known: Iterable[object]) -> str:
-    """Return "did you mean ...?" with the present name or the closest of the `known` words; empty if none is close."""
+    """Return "did you mean ...?" with a name of the same purpose or the closest `known` word; empty if none is close.
+
+    Names of the same purpose are the present one for a former name, and that of :data:`RELATED`.
+    """
     if not isinstance(word, str):
         return ""
     folded = {str(each).casefold().replace("-", "_"): str(each) for each in known}
     typed = word[:LONGEST_VALUE].casefold().replace("-", "_")
+    other, meaning = RELATED.get(typed, ("", ""))
+    if other in folded and typed not in folded:
+        return f"did you mean {folded[other]!r}, {meaning}?"
     near = difflib.get_close_matches(RENAMED.get(typed, typed), folded, 1, 0.6)
     return f"did you mean {folded[near[0]]!r}?" if near else ""
 

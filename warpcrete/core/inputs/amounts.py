@@ -258,8 +258,18 @@ def amount(field: str, value: object, unit: str) -> float:
     return number
 
 
+OTHER_QUANTITIES = {
+    "m3/s": ("m/s", "this is a velocity; multiply it by the area of the bore, 0.785 times its diameter squared"),
+    "m/s": ("m3/s", "this is a flow; divide it by the area of the bore, 0.785 times its diameter squared"),
+}
+"""Units of amounts, each with that of another quantity for which users may take it, and advice for these users."""
+
+
 def _advice(text: str, unit: str) -> str:
     """Return a sentence on what may be wrong with a text that is not an amount in `unit`, or an empty text."""
+    other, conversion = OTHER_QUANTITIES.get(unit, ("", ""))
+    if other and is_amount(text, other):
+        return conversion
     if re.match(r"[-+]?[0-9]+[.,][0-9]+[.,]", text):
         return "leave out separators of thousands"
     if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):
