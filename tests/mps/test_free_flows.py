@@ -18,6 +18,7 @@ from warpcrete.mps.free import forecast as forecasts
 from warpcrete.mps.free.display import SHOWN_DEPTH
 from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import surface, volume
+from warpcrete.mps.free.quantities import start_volume, whole_volume
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.mps.free.simulation import FreeSimulation
 from warpcrete.mps.grid.geometry import GATE, NONE
@@ -57,6 +58,29 @@ def test_a_mould_of_cells_holds_the_cone_s_volume_and_has_no_ledges(spacing, off
     assert np.all(inner[at[:, 1], at[:, 0]] == NONE) and np.count_nonzero(inner == GATE) > 30
     width = [at[at[:, 1] == row, 0].max() for row in range(at[:, 1].max() + 1)]
     assert np.all(np.diff(width) <= 0)
+
+
+def mirrored(*sides):
+    return vessel(depth=0.2, sides=dict.fromkeys(sides, "mirror"))
+
+
+@pytest.mark.parametrize(
+    ("scene", "volume"),
+    [
+        (slump, cone_volume(0.05, 0.1, 0.3)),
+        (lambda: scenes.slump(aggregate_fraction=0.2, lift_time=0.0), cone_volume(0.05, 0.1, 0.3)),
+        (lambda: scenes.lbox(bars=0), 0.1 * 0.2 * 0.6),
+        (vessel, 0.4 * 0.1),
+        (mirrored, 0.4 * 0.1 * 0.2),
+        (lambda: mirrored("front"), 2 * 0.4 * 0.1 * 0.2),
+        (lambda: mirrored("front", "left"), 4 * 0.4 * 0.1 * 0.2),
+        (lambda: mirrored("front", "back", "left"), 8 * 0.4 * 0.1 * 0.2),
+    ],
+)
+def test_closed_forms_get_the_volume_of_all_concrete(scene, volume):
+    """A flow about an axis is simulated per radian, and half of the concrete for each plane of symmetry."""
+    made = scene()
+    assert whole_volume(made, start_volume(made)) == pytest.approx(volume, rel=1e-9)
 
 
 def test_a_run_may_end_only_after_the_gate_was_lifted():

@@ -111,6 +111,35 @@ def test_a_grain_shears_the_mortar_between_wall_and_its_own_half_spacing(device)
     assert flow.fields.compliance.numpy() == pytest.approx(expected, rel=1e-9)
 
 
+def test_a_step_moves_and_turns_grains_relative_to_the_piston(device):
+    """Positions count from the piston. A grain moves by its mean velocity less that of the piston, and by the mean of
+    the displacements without velocity; it turns with its spin, and its particles keep their distances."""
+    flow = two_phase_flow(device)
+    before = flow.particles.position.numpy().copy()
+    step(flow)
+    after, velocity, aside = (
+        each.numpy() for each in (flow.particles.position, flow.particles.velocity, flow.fields.extra_displacement)
+    )
+    dt, spacing, piston = flow.scene.time_step, flow.state.layout.spacing, np.array([0.0, flow.scene.velocity])
+    moved = before + dt * (velocity - piston) + aside
+    inside = (np.abs(moved[:, 0]) < flow.scene.radius - 0.3 * spacing) & (moved[:, 1] > 0.3 * spacing)
+    mortar = flow.state.grains.group < 0
+    assert after[mortar & inside] == pytest.approx(moved[mortar & inside], abs=1e-12)
+    clear, turned = 0, 0.0
+    for begin, end in itertools.pairwise(flow.state.grains.first):
+        own = slice(begin, end)
+        if not inside[own].all():
+            continue
+        middle, arm = moved[own].mean(0), before[own] - before[own].mean(0)
+        spun = velocity[own] - velocity[own].mean(0)
+        # In a plane, the spin w about y gives an arm (x, z) the velocity (w z, -w x).
+        angle = dt * np.sum(spun[:, 0] * arm[:, 1] - spun[:, 1] * arm[:, 0]) / np.sum(arm**2)
+        c, s = np.cos(angle), np.sin(angle)
+        assert after[own] == pytest.approx(middle + arm @ np.array([[c, -s], [s, c]]), abs=1e-12)
+        clear, turned = clear + 1, max(turned, abs(angle))
+    assert clear > 5 and turned > 1e-6
+
+
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_nothing_is_free_under_a_hole_in_the_inside(device, dimensions):
     """However wide: fluid stands on its other side."""

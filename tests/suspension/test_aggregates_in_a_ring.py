@@ -7,6 +7,7 @@ from flows import begin
 import warpcrete
 from warpcrete import scenes
 from warpcrete.methods import method_of
+from warpcrete.mps.free.probes import beyond
 from warpcrete.suspension.quantities import mortar_part
 
 RING = {
@@ -53,6 +54,17 @@ def test_what_has_passed_the_ring_is_counted(device):
     assert row["aggregates_passed"] == pytest.approx(1 / len(centre))
     # No concrete is outside yet.
     assert row["mortar_passed"] == pytest.approx(mortar_part(0.0, 1 / len(centre), simulation.fraction))
+    # Move the lightest 2 % of the particles outside. They count by their masses and by their distances from the axis.
+    particles = simulation.flow.state.particles
+    place, mass = particles.position.numpy(), particles.mass.numpy().astype(float)
+    moved = np.argsort(mass, kind="stable")[: len(mass) // 50]
+    place[moved, :2] = [0.16, 0.17]
+    particles.position.assign(place)
+    outside = mass[moved].sum() / mass.sum()
+    assert outside < 0.018 and beyond(simulation.flow, 0.23) == pytest.approx(outside, rel=1e-6)
+    assert beyond(simulation.flow, 0.24) == 0
+    passed = mortar_part(outside, 1 / len(centre), simulation.fraction)
+    assert simulation.measured()["mortar_passed"] == pytest.approx(passed, rel=1e-6)
 
 
 @pytest.mark.thorough
