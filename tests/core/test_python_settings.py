@@ -24,7 +24,7 @@ WRONG = {
     "trials": ("9", 4.5), "batch": ("9", 0), "seed": (0.5, "1"),
     "quantities": (3, "slump"), "knobs": (3, "spacing"),
     "trade": (3, b"x"),
-    "recordings": (3,), "colour": (3,), "live": (3, None), "network": ("yes", 1), "bind": (3, None),
+    "recordings": (3,), "colour": (3,), "live": (3, 0.5), "network": ("yes", 1), "bind": (3,),
 }  # fmt: skip
 CALLS = {
     "Simulation": (lambda **given: Simulation(scenes.slump(**SMALL), **given), "device threads progress out"),

@@ -68,9 +68,8 @@ class RunFolder:
             check_new(self.path)
 
     def _check_kind(self, name: str) -> None:
-        value = getattr(self, name)
-        text = isinstance(value, str) or (name == "colour" and value is None)
-        if not (text if name in ("colour", "bind") else isinstance(value, bool) or (name == "live" and text)):
+        value, kind = getattr(self, name), str if name in ("colour", "bind") else bool
+        if not isinstance(value, kind | None) and not (name == "live" and isinstance(value, str)):
             allowed = {"network": "True or False", "live": "True, False or the URL of a viewer"}
             refuse(name, value, f"must be {allowed.get(name, 'text')}")
 

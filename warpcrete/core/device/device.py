@@ -51,7 +51,7 @@ def find_device(name: str | None) -> wp.Device:
 
     Raises :class:`DeviceError` if there is no such device.
     """
-    if name is not None and not isinstance(name, str):
+    if not _is_text_or_none(name):
         raise DeviceError(f"device = {quoted(name)}: must be text, such as 'cpu' or 'cuda:0', or None")
     quiet_init()
     available = [str(device) for device in wp.get_devices()]
@@ -65,6 +65,10 @@ def find_device(name: str | None) -> wp.Device:
         return wp.get_device(name)
     except ValueError as error:
         raise DeviceError(f"device = {name!r}: must be one of {', '.join(available)}") from error
+
+
+def _is_text_or_none(value: object) -> bool:
+    return value is None or isinstance(value, str)
 
 
 def quiet_init() -> None:
