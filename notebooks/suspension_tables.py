@@ -20,6 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warpcrete.core.drawing.style import MEASURED, SERIES, THEORY, legend_above, new_figure, open_frame, rgb
+from warpcrete.theory.bands import wilson_interval
 from warpcrete.theory.pipe import CONCRETES
 from warpcrete.theory.suspension import SUSPENSIONS, thickening
 
@@ -352,7 +353,7 @@ class Tables:
         self.write("pumping", head, rows)
 
     def blocking(self) -> None:
-        """Show how many aggregates have passed the bars of a J-ring, and which reducers were blocked."""
+        """Show how many aggregates have passed the bars of a J-ring, and the share of blocked reducers."""
         stores = load(self.runs, "e")
         groups: dict[tuple[int, float], list[Store]] = {}
         for store in stores.values():
@@ -376,14 +377,44 @@ class Tables:
         head = ["bars", "gap / size", "fraction", "seeds", "aggregates passed", "error by their number",
                 "mortar passed", "blocking step [mm]", "spread [mm]"]  # fmt: skip
         self.write("blocking", head, rows)
-        rows = []
-        for store in stores.values():
-            if store["varied"]["kind"] == "reducer":
-                varied, pressure = store["varied"], 1e-3 * store["series"][-1]["pressure"]
-                how = store["result"]["ended"]["reason"] if store["finished"] else ended(store)
-                rows.append([f"{1e3 * varied['outlet']:g}", f"{varied['fraction']:g}", str(varied["seed"]), how,
-                             f"{store['series'][-1]['time']:.2g}", f"{pressure:.1f}"])  # fmt: skip
-        head = ["outlet [mm]", "fraction", "seed", "ended", "at [s]", "pressure then [kPa]"]
+        self.reducers(
+            [store for store in stores.values() if store["varied"]["kind"] == "reducer" and store["finished"]]
+        )
+
+    def reducers(self, stores: list[Store]) -> None:
+        """Show the share of random placements of the aggregates for which a reducer was blocked."""
+        groups: dict[float, dict[float, list[Store]]] = {}
+        for store in stores:
+            varied = store["varied"]
+            groups.setdefault(varied["fraction"], {}).setdefault(varied["outlet"], []).append(store)
+        mix = "spheres of 20 mm with friction 0.5 in the mortar of soft concrete"
+        rows, figure = [], new_figure(f"reducers from 100 mm, flow 1.4 m3/h, {mix}")
+        axes = figure.subplots()
+        for (fraction, outlets), colour in zip(sorted(groups.items()), SERIES, strict=False):
+            points = []
+            for outlet, found in sorted(outlets.items()):
+                results = [store["result"] for store in found]
+                blocked = sum(result["ended"]["reason"] == "blocked" for result in results)
+                share, size = blocked / len(found), found[0]["parameters"]["aggregate_largest"]
+                low, high = wilson_interval(blocked, len(found))
+                pressure, theory = (
+                    1e-3 * float(np.median([result[name]["value"] for result in results]))
+                    for name in ("pressure", "pressure_theory")
+                )
+                points.append((outlet / size, share, share - low, high - share))
+                rows.append([f"{1e3 * outlet:g}", f"{outlet / size:.2f}", f"{fraction:g}", str(len(found)),
+                             str(blocked), f"{low:.2f} to {high:.2f}", f"{pressure:.1f}", f"{theory:.1f}"])  # fmt: skip
+            # Shift the markers of the two fractions apart, so that their error bars do not cover one another.
+            across = np.array([point[0] for point in points]) + 0.03 * (len(axes.lines) > 0)
+            below, above = ([point[n] for point in points] for n in (2, 3))
+            axes.errorbar(across, [point[1] for point in points], [below, above], marker="o", markersize=4, capsize=3,
+                          color=rgb(colour), label=f"fraction {fraction:g}")  # fmt: skip
+        axes.set(xlabel="diameter of the outlet over that of an aggregate", ylabel="share of blocked runs",
+                 ylim=(-0.02, 1.02))  # fmt: skip
+        legend_above(axes)
+        self.save("reducers", figure)
+        head = ["outlet [mm]", "outlet / aggregate", "fraction", "runs", "blocked", "95 % interval of the probability",
+                "median pressure [kPa]", "theory of the mortar [kPa]"]  # fmt: skip
         self.write("reducers", head, rows)
 
     def settling(self) -> None:

@@ -64,7 +64,7 @@ class Tolerances:
     """Norm of the residual at which the coupled solve stops, divided by the norm of the flow's momentum."""
     pressure: float = 0.1
     """Residual norm at which a pressure solve of the preconditioner stops, divided by the norm at its start."""
-    outer: int = 60
+    outer: int = 200
     """Maximum number of iterations of the coupled solve."""
     inner: int = 5000
     """Maximum number of iterations of a viscous solve."""
