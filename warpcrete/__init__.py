@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from . import scenes
     from .core.run.recorder import Recorder
     from .dem.scene.scene import Scene
+    from .methods import Run
+    from .mix.mix import read_mix
+    from .mps.scene import FluidScene
     from .record.output import RunFolder, Simulation
     from .studies.api import study
     from .studies.calibration.calibrate import calibrate
@@ -39,9 +42,9 @@ if not Path(__file__).with_name("kernels").exists():
     __path__.append(str(Path(__file__).parents[1]))
 
 __all__ = [
-    "CapacityError", "ConvergenceError", "DeviceError", "InstabilityError", "Recorder", "RunFolder", "RunFolderError",
-    "Scene", "SceneError", "Simulation", "WarpcreteError", "__version__", "calibrate", "explain", "load", "scenes",
-    "study", "trade",
+    "CapacityError", "ConvergenceError", "DeviceError", "FluidScene", "InstabilityError", "Recorder", "Run",
+    "RunFolder", "RunFolderError", "Scene", "SceneError", "Simulation", "WarpcreteError", "__version__", "calibrate",
+    "explain", "load", "read_mix", "scenes", "study", "trade",
 ]  # fmt: skip
 
 _LAZY = {

@@ -103,6 +103,33 @@ def test_names_that_guides_import_are_listed_as_stable():
                     assert not [each.name for each in line.names if each.name.startswith("warpcrete.")], path.name
 
 
+def test_stable_names_exist():
+    """Modules of `warpcrete.kernels` load Warp, so that names in them are looked for in their source."""
+    listed = (PAGES / "reference" / "stability.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| `(warpcrete\.[\w.]+)` \| (.*) \|$", listed, re.M)
+    assert len(table) > 10
+    for module, names in table:
+        for name in re.findall(r"`(\w+)`", names):
+            if module.startswith("warpcrete.kernels."):
+                source = ROOT.joinpath(*module.split(".")[1:]).with_suffix(".py").read_text(encoding="utf-8")
+                assert re.search(rf"\b(def|class) {name}\b", source), (module, name)
+            else:
+                assert hasattr(importlib.import_module(module), name), (module, name)
+
+
+def test_exported_names_exist_and_are_those_of_the_reference():
+    for path in sorted((ROOT / "warpcrete").rglob("*.py")):
+        if "\n__all__ = [" not in path.read_text(encoding="utf-8"):
+            continue
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        module = importlib.import_module(name)
+        assert not [each for each in module.__all__ if not hasattr(module, each)], name
+    page = (PAGES / "reference" / "python.md").read_text(encoding="utf-8")
+    listed = re.search(r":nosignatures:\n\n(.*?)```", page, re.S)[1].split()
+    assert sorted([*listed, "__version__", "scenes"]) == sorted(warpcrete.__all__)
+    assert set(dir(warpcrete)) == set(warpcrete.__all__)
+
+
 def public_names() -> list[tuple[str, object]]:
     """Return all public classes, functions, methods and properties, with those that modules define themselves."""
     found: list[tuple[str, object]] = []

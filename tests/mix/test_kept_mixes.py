@@ -88,7 +88,7 @@ def test_kept_figures_and_rules_of_mixes():
             mix = mix_of({key: value for key, value in (BASE | changes).items() if value is not None})
         rules = [blocking_rules(mix.given, bore) for bore in (0.05, 0.1, 0.125)]
         found[name] = {
-            "mix": [repr(mix), mix.table(), mix.band_origin],
+            "mix": [repr(mix), mix.text(), mix.band_origin],
             "bands": {each.name: [each.value, each.low, each.high] for each in mix.figures},
             "remarks": mix.remarks,
             "other layers": [[f"{each.span} from {each.way}" for each in pair] for pair in mix.other_layers],

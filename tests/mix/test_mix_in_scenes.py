@@ -84,7 +84,11 @@ def test_the_command_prints_and_writes_a_concrete(tmp_path):
     done = CliRunner().invoke(cli, ["mix", str(path), "--out", str(plain)])
     assert done.exit_code == 0, done.output
     mix = read_mix(path)
-    assert mix._repr_html_().count("<tr>") == len(mix.rows()) + 1 == len(mix.table().splitlines())
+    assert mix._repr_html_().count("<tr>") == len(mix.rows()) + 1 == len(mix.text().splitlines())
+    pytest.importorskip("pandas")
+    table, spread = mix.table(), mix["yield stress"]
+    assert list(table.index) == [each.name for each in mix.figures] and table.loc["yield stress", "low"] == spread.low
+    assert tuple(table.loc["yield stress", ["value", "unit", "from"]]) == (spread.value, "Pa", spread.way)
     row = next(line for line in done.output.splitlines() if line.startswith("yield stress"))
     stress = mix["yield stress"]
     assert f"{stress.value:.4g}" in row and f"{stress.low:.3g} to {stress.high:.3g}" in row and "Roussel" in row
@@ -152,7 +156,7 @@ def test_a_mix_states_another_law(tmp_path):
     mix = read_mix(path)
     assert mix["flow index"].value == 1.3 and mix["slip quadratic viscosity"].unit == "Pa s2/m2"
     assert mix.concrete.flow_index == 1.3 and mix.concrete.slip_quadratic_viscosity == 300.0
-    assert "flow index" in mix.table()
+    assert "flow index" in mix.text()
     for made in (scenes.tube, scenes.slump, scenes.part):
         assert made(concrete=path).concrete == mix.concrete
     two = scenes.channel(concrete=path, aggregates=True).aggregates.mortar

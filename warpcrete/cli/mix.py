@@ -35,7 +35,7 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
     mix = read_mix(name)
     concrete = plain(name, mix)
     click.echo(f"{mix.name}{f' ({mix.source})' if mix.source else ''}\n")
-    click.echo(mix.table())
+    click.echo(mix.text())
     for remark in mix.remarks:
         click.echo(f"remark: {remark}")
     us = mix.given.customary or is_customary(bore)

@@ -11,6 +11,7 @@ from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import NamedConcrete, concrete, known_only
 from ..core.inputs.customary import both
+from ..core.run.tables import dataframe
 from ..theory.pipe import Concrete, scaled
 from .entries import MixEntries
 from .figures import Figure, around, reconciled, short
@@ -213,7 +214,18 @@ class Mix:
                           "as simulated with elements"))  # fmt: skip
         return [dict(zip(COLUMNS, row, strict=True)) for row in found]
 
-    def table(self) -> str:
+    def table(self) -> Any:
+        """Return the properties as a pandas DataFrame in SI units, with the name of the quantity as index.
+
+        The columns are value, ends of the uncertainty band, unit, origin and source. Raises :class:`WarpcreteError` if
+        pandas is not installed.
+        """
+        figures = self.figures
+        columns = {key: [getattr(each, key) for each in figures] for key in ("value", "low", "high", "unit", "source")}
+        columns = {"quantity": [each.name for each in figures], **columns, "from": [each.way for each in figures]}
+        return dataframe(columns, {}, "quantity", "mix.rows() or mix.text()")
+
+    def text(self) -> str:
         """Return the table of properties as plain text."""
         rows = [dict(zip(COLUMNS, COLUMNS, strict=True)), *self.rows()]
         wide = {name: max(len(row[name]) for row in rows) for name in COLUMNS[:-1]}

@@ -75,6 +75,11 @@ def run_line(
     :func:`warpcrete.studies.lines.line_folder.line_folder`; in the latter case, interrupted runs continue. Finished
     runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an impossible flow or
     setting.
+
+    For example, with a line and a mix from files::
+
+        line, mix = read_line("site.yaml"), read_mix("ticket.yaml")
+        found = run_line(line, mix.concrete, line.flow, variants=mix.variants, band_origin=mix.band_origin)
     """
     check_settings(flow, layer_factor)
     between("cells", cells, 8, math.inf)
