@@ -49,7 +49,7 @@ class FunnelParameters(FreeConcrete, AggregateParameters):
     outlet_width: Annotated[float, "Inner width of the outlet [m]", Above()] = 0.065
     breadth: Annotated[float, "Distance between the parallel sides [m]", Above()] = 0.075
     cone_height: Annotated[float, "Height of the tapered section [m]", Above()] = 0.45
-    outlet_height: Annotated[float, "Height of the straight section below it [m]", Above()] = 0.15
+    outlet_height: Annotated[float, "Height of the straight section below the tapered one [m]", Above()] = 0.15
     surfaces: Annotated[str, "Condition on all sides: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
     spacing: Annotated[float, "Edge length of the cells [m]", Above()] = 7.5e-3

@@ -35,7 +35,7 @@ class FunnelElements(VesselParameters):
     outlet_width: Annotated[float, "Inner width of the outlet [m]", Above()] = 0.065
     breadth: Annotated[float, "Distance between the parallel sides [m]", Above()] = 0.075
     cone_height: Annotated[float, "Height of the tapered section [m]", Above()] = 0.45
-    outlet_height: Annotated[float, "Height of the straight section below it [m]", Above()] = 0.15
+    outlet_height: Annotated[float, "Height of the straight section below the tapered one [m]", Above()] = 0.15
 
 
 @scene_function(FunnelElements)

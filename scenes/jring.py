@@ -81,7 +81,7 @@ class RingParameters(Ring, SlumpParameters):
     """Dimensions of the mould, of the plate and of the ring of bars; defaults follow EN 12350-12."""
 
     spacing: Annotated[
-        float, "Edge length of the cells [m]; bars need at least three cells for two diameters", Above()
+        float, "Edge length of the cells [m]; with bars, at most two thirds of their diameter", Above()
     ] = 0.009
 
 

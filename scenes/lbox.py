@@ -55,7 +55,7 @@ class BoxParameters(FreeConcrete, AggregateParameters):
     surfaces: Annotated[str, "Condition on all walls and bars: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
     spacing: Annotated[
-        float, "Edge length of the cells [m]; bars need at least three cells for two diameters", Above()
+        float, "Edge length of the cells [m]; with bars, at most two thirds of their diameter", Above()
     ] = 0.0125
     # The concrete is at rest when 90 % of it is slower than this speed. The scene `lbox-dem` has the same threshold for
     # the speed of the fastest grain. Even at rest, the surface moves slightly because the arrangement of the particles

@@ -98,7 +98,9 @@ class LongBox:
     """Dimensions of the LCPC box; defaults follow Roussel (2007), with 6 litres of concrete."""
 
     column_length: Annotated[
-        float, "Length of the concrete at the start, when it fills the box to its height behind the gate [m]", Above()
+        float,
+        "Length of the concrete at the start, when it fills the box behind the gate to its full height [m]",
+        Above(),
     ] = 0.2
     length: Annotated[float, "Inner length of the box [m]", Above()] = 1.2
     width: Annotated[float, "Inner width of the box [m]", Above()] = 0.2
@@ -118,7 +120,7 @@ class LongBox:
 
 @dataclass(frozen=True, kw_only=True)
 class LongBoxFlow(LongBox, FreeConcrete):
-    """Parameters of the LCPC box as a flow: dimensions, concrete, friction of the walls, cells and time steps."""
+    """Condition on the walls of the LCPC box, and edge length of the cells."""
 
     surfaces: Annotated[str, "Condition on all walls: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip

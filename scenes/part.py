@@ -78,27 +78,31 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
         said = {**parameters_from_line(values), **parameters_from_mesh(values)}
         return {**said, **super().implied({**said, **values})}
 
-    unit: Annotated[str, "Course of the pipe: straight (vertical, horizontal), a bend between two straight pipes, or "
-                    "mesh, the bore of the mesh in wall between two straight pipes, which is the default with a "
-                    "wall", OneOf(UNITS), NO_LINE] = "bend-to-horizontal"  # fmt: skip
+    unit: Annotated[
+        str,
+        "Course of the pipe: vertical, horizontal, a bend between two straight pipes, or mesh (the bore of the mesh "
+        "file in 'wall' between two straight pipes; default if 'wall' is given)",
+        OneOf(UNITS),
+        NO_LINE,
+    ] = "bend-to-horizontal"
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), NO_LINE] = 0.1
     straight: Annotated[float, "Length of the straight pipes before and behind the bend or taper [m]", Above(),
                         NO_LINE] = 0.3  # fmt: skip
     elbow_radius: Annotated[float, "Radius of the centreline of a bend [m]", Above(), NO_LINE, IN_BENDS] = 0.25
     angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), NO_LINE, IN_BENDS] = 90.0
-    outlet_diameter: Annotated[float | None, "Inner diameter behind the taper, which lies in the middle of a straight "
-                               "pipe, or one length straight behind a bend [m]", Above(), NO_LINE] = None  # fmt: skip
+    outlet_diameter: Annotated[float | None, "Inner diameter behind a taper [m]; the taper lies in the middle of a "
+        "straight pipe, or at the distance 'straight' behind a bend", Above(), NO_LINE] = None  # fmt: skip
     taper: Annotated[float, "Length of the taper [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Above()] = 0.3  # fmt: skip
-    wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore replaces the round pipe: it begins at the "
-                    "origin and leads along x, y or z, or follows the course of the other units", NO_LINE,
+    wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore replaces the round pipe. The bore begins at "
+        "the origin and leads along x, y or z, or it follows the course of 'unit'", NO_LINE,
                     FileIf(bool)] = None  # fmt: skip
     wall_scale: Annotated[
         float, "Factor from the unit of the mesh file to metres, 0.001 for mm", Needs("wall", _is_given, "is given"),
         Above()
     ] = 1.0  # fmt: skip
-    line: Annotated[str | None, "File or name of a pipeline, which replaces the parameters above, and supplies flow "
-                    "and concrete unless these are given; it must begin and end with a straight part",
+    line: Annotated[str | None, "File or name of a pump line, which replaces the parameters above. It also sets "
+        "flow and concrete, unless you give them. The line must begin and end with a straight part",
                     FileIf(is_file)] = None  # fmt: skip
     flow: Annotated[float, "Volume flow [m3/s]", Above()] = FLOW
     spacing: Annotated[float, "Edge length of the cells [m], rounded so that it divides the radius", Above()] = 0.01

@@ -28,7 +28,9 @@ class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above()] = 0.1
     length: Annotated[float, "Length of the stretch [m]: at least three aggregates", Above()] = 0.1
     gradient: Annotated[
-        float, "Pressure gradient beyond the weight of mortar and aggregates, which drives the flow [Pa/m]", Above()
+        float,
+        "Pressure gradient that drives the flow, in addition to that of the weight of mortar and aggregates [Pa/m]",
+        Above(),
     ] = 2e4
     surfaces: Annotated[str, "Condition on the wall: mortar sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip

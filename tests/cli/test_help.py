@@ -93,5 +93,5 @@ def test_help_of_words_lists_options_with_their_defaults_below_each_other():
     assert page.startswith("Usage: cli calibrate TARGETS.yaml [OPTIONS]\n")
     assert max(map(len, page.partition("Options:")[2].splitlines())) <= 80
     squeezed = re.sub(r"\s+", " ", page)
-    assert "verify the answer come on top [default: 10 + 10 per parameter] --batch N Number of trials" in squeezed
+    assert "verify the answer do not count [default: 10 + 10 per parameter] --batch N Number of trials" in squeezed
     assert squeezed == re.sub(r"\s+", " ", CliRunner().invoke(cli, ["calibrate"]).output)

@@ -59,7 +59,7 @@ def test_help_states_units_defaults_choices_and_other_names():
     text = re.sub(r"\s+", " ", scenes.pipe.__doc__)
     assert "diameter: a number, default 0.15 m Inner diameter of the pipe [m]" in text
     assert "time_step: a number, optional Fixed time step [s]; default: automatic" in text
-    assert "safety: a number, default 0.8 Ratio of" in text
+    assert "safety: a number, default 0.8 Automatic time step, divided by" in text
     assert re.search(
         r"unit: text, default 'bend-to-horizontal' .*?; one of vertical, [^;]*, mesh ",
         re.sub(r"\s+", " ", scenes.part.__doc__),

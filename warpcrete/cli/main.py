@@ -34,7 +34,9 @@ because libraries may wait for disk space without end."""
 @click.group(cls=Commands)
 @click.version_option(package_name="warpcrete")
 @click.option(
-    "--trust", is_flag=True, help="Allow records and files to import your own contact laws (this runs their code)"
+    "--trust",
+    is_flag=True,
+    help="Allow input files and saved runs to import contact laws of your own; this runs their code",
 )
 def cli(trust: bool) -> None:
     """Particle simulation of fresh concrete being pumped."""
@@ -167,7 +169,8 @@ def warm_command(scene: tuple[str, ...], device: str | None) -> None:
 
 @cli.command("verify")
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
-@click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
+@click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
+              help="Precision of positions and forces")  # fmt: skip
 @click.option("--only", type=Completed("checked"), default="", help="Run only the cases whose name or group contains "
               "this text")  # fmt: skip
 @click.option("--quick", is_flag=True, help="Leave out the cases that take longer than a few seconds")
@@ -304,7 +307,7 @@ def mix_command(name: str, out: Path | None, bore: str | None) -> None:
 
 @cli.command("schema")
 @click.argument("kind", type=Completed("schemas"), required=False)
-@click.option("--path", is_flag=True, help="Print the path of the schema instead")
+@click.option("--path", is_flag=True, help="Print the path of the schema instead of its contents")
 def schema_command(kind: str | None, path: bool) -> None:
     """Print the JSON schema of a kind of file: concrete, mix, line or targets.
 

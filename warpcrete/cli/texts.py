@@ -65,7 +65,7 @@ and a run folder for each run.
   --repeat N             number of seeds of each setting                                  [default: 3]
   --out FOLDER           new folder                                                       [default: runs/trade-NNN]
   --resume FOLDER        continue a trade for another --budget; its finished runs are kept
-  --device, --threads    as for run; with workers, --threads holds for each worker        [default there: 1]
+  --device, --threads    as for run; workers have this number of threads each             [default of workers: 1]
 {ON_WORKERS}  --quiet                show no progress bar
 
 The exit code is 2 for bad input and 130 if the trade was interrupted.
@@ -90,7 +90,7 @@ answer.json, concrete.yaml (for --concrete), and all runs.
 
 \b
   --trials N             maximum number of trials, each of which runs all scenes; runs that verify the answer
-                         come on top                                     [default: 10 + 10 per parameter]
+                         do not count                                    [default: 10 + 10 per parameter]
   --batch N              number of trials that run at the same time      [default: 4 + 2 per parameter]
   --repeat N             number of seeds of the final check              [default: 3]
   --seed N               seed of the search                              [default: 0]

@@ -64,7 +64,8 @@ class ColumnParameters:
     length: Annotated[float, "Length of the concrete in the pipe [m]"] = 0.3
     flow: Annotated[float | None, "Volume flow through a round pipe of this diameter [m3/s]; default: 1500e-6"] = None
     pressure: Annotated[
-        float | None, "Pressure on the piston, given instead of the flow [Pa]; theory gives the piston's speed"
+        float | None,
+        "Pressure on the piston [Pa], instead of the flow; the speed of the piston then follows from theory",
     ] = None
     spacing: Annotated[float, "Spacing of the particles [m]; the nearest spacing that divides the pipe is used"] = 5e-3
 
@@ -75,7 +76,9 @@ class AggregateParameters:
 
     common: ClassVar[tuple[str, ...]] = ("aggregates",)
 
-    aggregates: Annotated[bool, "Simulate two phases: coarse aggregate as rigid groups of particles in mortar"] = False
+    aggregates: Annotated[
+        bool, "Simulate two phases: the coarse aggregate consists of rigid groups of particles in mortar"
+    ] = False
     aggregate_fraction: Annotated[
         float | None,
         "Volume fraction of the coarse aggregate; default: the concrete's gravel",
@@ -84,15 +87,20 @@ class AggregateParameters:
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), NEEDS_AGGREGATES] = 2630.0
     inclusions: Annotated[
         str,
-        "Shape of the aggregate in the formula for the mortar's default constants: discs, spheres; auto: by dimension",
+        "Shape of the aggregate in the formula for the default constants of the mortar: discs, spheres, or auto "
+        "(discs in two dimensions, else spheres)",
         OneOf(("auto", *SUSPENSIONS)),
         NEEDS_AGGREGATES,
     ] = "auto"
     mortar_viscosity: Annotated[
-        float | None, "Plastic viscosity of the mortar [Pa s]; default: by homogenisation", NEEDS_AGGREGATES
+        float | None,
+        "Plastic viscosity of the mortar [Pa s]; default: by homogenisation from that of the concrete",
+        NEEDS_AGGREGATES,
     ] = None
     mortar_yield: Annotated[
-        float | None, "Yield stress of the mortar [Pa]; default: by homogenisation", NEEDS_AGGREGATES
+        float | None,
+        "Yield stress of the mortar [Pa]; default: by homogenisation from that of the concrete",
+        NEEDS_AGGREGATES,
     ] = None
 
 
@@ -102,9 +110,9 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     ends: Annotated[
         str,
-        "Ends of the pipe: piston (particles, a column with a free surface on a piston), periodic (a stretch of an "
-        "endless pipe on a grid, about the axis of a tube; for flows with any amount of shear), auto (piston if slip "
-        "carries 0.9 of the flow by theory, or with aggregates, which only particles can simulate; else periodic)",
+        "Ends of the pipe: piston (a column of particles with a free surface, on a piston), periodic (a stretch of "
+        "an endless pipe on a grid, for flows with any amount of shear), auto (piston with 'aggregates', or if "
+        "slip carries at least 0.9 of the flow by theory; else periodic)",
         OneOf(("auto", *ENDS)),
     ] = "auto"
 

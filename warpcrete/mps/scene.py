@@ -99,59 +99,66 @@ class FlowSettings(Declared):
         "endless pipe on a grid, about the axis of a tube; for flows with any amount of shear)",
         OneOf(ENDS),
     ] = "piston"
-    time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 5e-4
+    time_step: Annotated[
+        float, "Longest time step [s]; if step_error is 0, all time steps have this length", Above()
+    ] = 5e-4
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
     gravity: Annotated[float, "Gravity against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
     regularisation: Annotated[float, "Parameter beta of the regularised flow law [s] (Eq. 14)", Above()] = 100.0
     tolerance: Annotated[
         float,
-        "Tolerance of the pressure solve: residual over the residual at its start, or over the one that the "
-        "piston's speed would cause",
+        "Tolerance of the pressure solve: largest residual at its end, divided by the residual at its start or by "
+        "the one that the speed of the piston would cause",
         Within(1e-12, 0.5),
     ] = 1e-2
     maximum_iterations: Annotated[
         int,
-        "Largest number of iterations of a solve; the run ends with an error beyond it",
+        "Largest number of iterations of a solve; if a solve needs more, the run ends with an error",
         Within(1),
     ] = 2000
     steadiness: Annotated[
         float,
-        "Steadiness: largest relative change of pressure, wall stress and slip velocity (over the piston's) in 5 ms, "
-        "and in the 5 ms before, that counts as steady",
+        "Largest relative change of pressure, wall stress and slip velocity in 5 ms, and in the 5 ms before, with "
+        "which the flow counts as steady; the slip velocity is relative to the speed of the piston",
         Above(),
     ] = 1e-3
     precision: Annotated[
         str, "Precision of positions, velocities and pressures: float32 or float64", OneOf(PRECISIONS)
     ] = "float32"
-    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 5e-3
+    sample_interval: Annotated[float, "Simulated time between two rows of the time series [s]", Above()] = 5e-3
     seed: Annotated[int, "Random seed of the aggregate", Within(0)] = 0
     rest: Annotated[
         float,
-        "Time at rest in the pipe before the flow starts; the yield stresses of bulk and slip layer grow by "
-        "thixotropy x rest [s]",
+        "Time at rest in the pipe before the flow starts [s], in which the yield stresses of the concrete and of "
+        "its slip layer grow by thixotropy x rest",
         Within(0),
     ] = 0.0
     thixotropy: Annotated[
         float, "Growth rate A_thix of the yield stresses at rest [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0), RESTED
     ] = 0.5
     breakdown: Annotated[
-        float, "Slip over which the layer's yield stress gained at rest falls to 1/e [m]", Above(), STRUCTURED
+        float,
+        "Slip over which the yield stress that the slip layer gained at rest falls to 1/e of it [m]",
+        Above(),
+        STRUCTURED,
     ] = 0.1
     breakdown_strain: Annotated[
         float,
-        "Shear strain over which the bulk's yield stress gained at rest falls to 1/e, 1 / alpha (Roussel 2006)",
+        "Shear strain over which the yield stress that the concrete gained at rest falls to 1/e of it; 1 / alpha "
+        "of Roussel (2006)",
         Above(),
         STRUCTURED,
     ] = 100.0
     rebuild_rate: Annotated[
         float,
-        "Rate at which the yield stresses of bulk and slip layer also grow while the concrete flows, A_thix [Pa/s]; "
-        "0: structure breaks down only",
+        "Rate A_thix at which the yield stresses of the concrete and of its slip layer also grow while the "
+        "concrete flows [Pa/s]; 0: they only fall",
         Within(0),
     ] = 0.0
     tolerated_error: Annotated[
         float | None,
-        "Error against theory that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
+        "Largest error relative to theory that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 with two "
+        "phases",
         Above(),
     ] = None
 

@@ -142,14 +142,14 @@ class AggregateParameters(Declared):
 
     aggregate_fraction: Annotated[
         float,
-        "Volume fraction of aggregates that are simulated one by one, as rigid bodies in the mortar; "
-        "the constants of the concrete are then those of the mortar between them. 0 simulates concrete as one fluid",
+        "Volume fraction of aggregates, each of which is a rigid body in the mortar. The constants of the concrete "
+        "are then those of the mortar. 0: the concrete is one fluid without aggregates",
         Within(0, MAX_FRACTION),
     ] = 0.0
     aggregate_smallest: Annotated[
         float | None,
-        "Smallest diameter of the simulated aggregates [m]: at least three cells; default: that of aggregates whose "
-        "narrowest side is four cells wide",
+        "Smallest diameter of the simulated aggregates [m], at least three cells; default: the diameter with which "
+            "their narrowest side is four cells wide",
         Above(), RANGED, USED_BY_AGGREGATES,
     ] = None  # fmt: skip
     aggregate_largest: Annotated[
@@ -159,15 +159,15 @@ class AggregateParameters(Declared):
     ] = None  # fmt: skip
     aggregate_shapes: Annotated[
         str,
-        "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed "
-        "meshes. Diameters are those of spheres of equal volume",
+        "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of "
+        "closed meshes. Their diameter is that of a sphere of equal volume",
         Suggests(lambda: TEMPLATE_SETS, files=True),
         WITH_AGGREGATES,
     ] = "spheres"
     aggregate_sizes: Annotated[
         str,
-        "Size distribution: uniform, or a sieve curve 'mm:passing,...' by mass. Of a sieve curve, sizes that the cells "
-        "do not resolve count as mortar",
+        "Size distribution of the aggregates: uniform, or a sieve curve by mass, as 'mm:passing,...'. Stones of a "
+        "sieve curve that are too small for the cells count as mortar",
         WITH_AGGREGATES,
     ] = UNIFORM
     aggregate_density: Annotated[
@@ -175,7 +175,8 @@ class AggregateParameters(Declared):
     ] = 2650.0
     roughness: Annotated[
         float,
-        "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, over 1 / (1 / R1 + 1 / R2)",
+        "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, divided by R1 R2 / (R1 "
+        "+ R2)",
         Within(1e-4, 0.1),
         USED_BY_AGGREGATES,
     ] = 0.01

@@ -121,7 +121,7 @@ class Line(Declared):
     """Straight pipe with a slip layer at its wall."""
 
     radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
-    length: Annotated[float, "Length L [m]", Above()] = 0.3
+    length: Annotated[float, "Length of the pipe [m]", Above()] = 0.3
     slip_thickness: Annotated[float, "Thickness of the slip layer [m]", Within(0)] = 0.0
     rise: Annotated[float, "Height gained per length: 1 for an upright pipe, 0 for a level one", Within(-1, 1)] = 1.0
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0)] = 9.81

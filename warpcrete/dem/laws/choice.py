@@ -33,8 +33,8 @@ class LawChoice:
 
     contact: Annotated[
         ContactLaw | None,
-        f"Law of all contacts, which replaces the scene's own: {', '.join(LAWS.classes)}, or package.module:Class of "
-        "a law of your own. Its parameters are contact_NAME, or options --contact-NAME, which --help lists",
+        f"Law of all contacts, instead of the scene's own: {', '.join(LAWS.classes)}, or package.module:Class for a "
+        "law of your own. Its parameters begin with contact_ (options: --contact-); '--contact LAW --help' lists them",
         LAWS,
     ] = None
 
@@ -49,7 +49,7 @@ class WallLawChoice:
     common: ClassVar[tuple[str, ...]] = ()
 
     wall_contact: Annotated[
-        ContactLaw | None, "Law of the contacts with pipe and piston only, chosen as contact; default: the law in "
-                           "contact, if it is given",
+        ContactLaw | None, "Law of the contacts with pipe and piston only, with the same choices as 'contact'; "
+            "default: the law in 'contact', if it is given",
         LAWS,
     ] = None  # fmt: skip

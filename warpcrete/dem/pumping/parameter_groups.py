@@ -16,10 +16,12 @@ from ..scene.clumps import TEMPLATE_SETS
 from ..scene.scene import Blockage, Wear
 
 FixedTimeStep = Annotated[float | None, "Fixed time step [s]; default: automatic", Above()]
-Safety = Annotated[float, "Ratio of the automatic time step to the stable one; a value above 1 overrules the estimate"]
+Safety = Annotated[
+    float, "Automatic time step, divided by the estimated longest stable one; a value above 1 overrules this estimate"
+]
 EnergyBalance = Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"]
 Precision = Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)]
-SampleInterval = Annotated[float, "Simulated time between two rows of the series [s]", Above()]
+SampleInterval = Annotated[float, "Simulated time between two rows of the time series [s]", Above()]
 Seed = Annotated[int, "Random seed", Within(0)]
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 
@@ -61,8 +63,8 @@ class UnitParameters:
 
     unit: Annotated[
         str,
-        "Unit: vertical, horizontal, bend-to-horizontal (flow enters upward), bend-to-vertical (flow enters "
-        "horizontally); or A, B, C, D",
+        "Pipe unit: vertical, horizontal, bend-to-horizontal (flow enters upward), bend-to-vertical (flow enters "
+        "horizontally), or the paper's names A, B, C, D",
         Suggests(unit_names),
     ] = "vertical"
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above()] = 0.15
@@ -73,7 +75,9 @@ class UnitParameters:
         "Wall of the pipe: analytic, mesh, or the path of an STL file of a wall around the same axis",
         Suggests(lambda: ("analytic", "mesh"), files=True),
     ] = "analytic"
-    wall_scale: Annotated[float, "Factor from the units of the wall file to metres", Above(), FROM_FILE] = 1.0
+    wall_scale: Annotated[
+        float, "Factor from the unit of the wall file to metres: 0.001 for mm", Above(), FROM_FILE
+    ] = 1.0
     facets: Annotated[int, "Number of facets around the pipe of wall=mesh", Within(3, 100_000), FACETED] = 64
 
 
@@ -110,16 +114,16 @@ class StrokeParameters:
     ] = 1
     stroke: Annotated[
         float | None,
-        "Travel of each stroke [m]; default: an equal part of the travel; without a travel three ramps, in bends an "
-        "equal part of the arc",
+        "Travel of each stroke [m]; default: the travel divided by the number of strokes; if no travel is given, "
+            "three ramps, or in bends an equal part of the arc",
         Above(), STROKES,
     ] = None  # fmt: skip
     pause: Annotated[
         float, "Duration of each stop of the piston between strokes [s]; 0: no stop", Within(0), STROKES
     ] = 0.5
     rest: Annotated[
-        float, "Time at rest before the last stroke [s]; its effect on the strengths is computed by a law, not in "
-               "time steps", Within(0),
+        float, "Time at rest before the last stroke [s]; a formula gives its effect on the strengths, without time "
+            "steps", Within(0),
         STROKES,
     ] = 0.0  # fmt: skip
     thixotropy: Annotated[
@@ -130,7 +134,7 @@ class StrokeParameters:
     ] = 0.5
     breakdown: Annotated[
         float,
-        "Slip along the wall over which the layer's yield stress gained at rest falls to 1/e [m]",
+        "Slip along the wall over which the yield stress that the layer gained at rest falls to 1/e of it [m]",
         Above(),
         RESTED,
     ] = 0.1
@@ -145,8 +149,9 @@ class ConcreteChoice:
 
     concrete: Annotated[
         str,
-        "Concrete: zhan (Table 1 and a wall layer calibrated on units A and B), zhan-table1, no1, no2, no3, or the "
-        "path of a .yaml file; it sets the parameters of aggregate, contacts and bonds that are not given",
+        "Concrete: zhan (Table 1 of the paper, and a wall layer calibrated on its units A and B), zhan-table1, "
+        "no1, no2, no3, or the path of a .yaml file. It sets those parameters of aggregate, contacts and bonds "
+        "that you do not give",
         FileIf(is_file),
         Suggests(shipped),
     ] = "zhan"
@@ -169,7 +174,7 @@ class AggregateParameters:
     ] = "spheres"
     shape_spheres: Annotated[int, "Number of spheres that represent each mesh in shapes", OF_MESHES] = 10
     fractions: Annotated[
-        str | None, "Fraction by volume of each shape, as '2,1,1,1'; default: equal fractions", SEVERAL
+        str | None, "Parts by volume of each shape, such as '2,1,1,1'; default: equal parts", SEVERAL
     ] = None
     sizes: Annotated[
         str,
@@ -196,7 +201,8 @@ class AggregateParameters:
         Above(),
     ] = None
     solid_fraction: Annotated[
-        float | None, "Solid fraction of the packing; default: packed until the plug's pressure is reached"
+        float | None,
+        "Solid fraction of the packing; default: the one with which the packing has the pressure of the plug",
     ] = None
 
 
@@ -251,7 +257,7 @@ class BondParameters:
     cohesion: Annotated[float, "Cohesion of bonds [Pa]", Within(0), BONDED] = 5.0
     friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), BONDED] = 30.0
     bond_gap: Annotated[float, "Largest gap across which bonds are made [m]", Within(0), BONDED] = 0.0
-    healing: Annotated[bool, "Bond new contacts when they touch", BONDED] = False
+    healing: Annotated[bool, "Bond bodies when they begin to touch each other during the run", BONDED] = False
     hydration: Annotated[float, "Fraction of the bonds that is hydrated", Within(0, 1), BONDED] = 0.0
     hydration_modulus: Annotated[float, "Effective modulus of hydrated bonds [Pa]", Above(), HYDRATED] = 1e9
     hydration_strength: Annotated[
@@ -294,7 +300,7 @@ class IndexParameters:
 
     common: ClassVar[tuple[str, ...]] = ("wear", "segregation", "stop_when_blocked")
 
-    wear: Annotated[bool, "Sum up sliding and impacts on the walls, patch by patch"] = False
+    wear: Annotated[bool, "Measure the sliding and the impacts on each patch of the walls"] = False
     wear_coefficient: Annotated[
         float, "Archard's wear coefficient K/H, worn volume per load and sliding distance [m2/N]; 1e-13 to 1e-12 for "
                "steel worn by stones",
@@ -326,13 +332,14 @@ class RunParameters(Declared):
     common: ClassVar[tuple[str, ...]] = ("seed",)
 
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(-1e4, 1e4)] = 9.81
-    settle: Annotated[float, "Longest time to settle under gravity and plug pressure before the start [s]",
+    settle: Annotated[float, "Longest time for which the aggregates settle under gravity and the pressure of the "
+        "plug before the start [s]",
                       Within(0)] = 2.0  # fmt: skip
     time_step: FixedTimeStep = None
     hydration_rounds: Annotated[
         int | None,
-        "Number of sub-steps in which hydrated bonds are integrated within one time step; default: as many as needed "
-        "if they are much stiffer than everything else; 1: no sub-steps, so that these bonds limit the time step",
+        "Number of sub-steps of hydrated bonds in one time step; default: as many as these bonds need if they are "
+        "much stiffer than everything else; 1: no sub-steps, so that these bonds limit the time step",
         HYDRATED,
     ] = None
     safety: Safety = 0.8

@@ -64,44 +64,43 @@ class CourseParameters:
 
     unit: Annotated[
         str,
-        "Course of the pipe: straight up or level, a bend between two straight stretches, or the "
-        "bore of the mesh in wall between two straight stretches; default with a wall: mesh",
+        "Course of the pipe: vertical, horizontal, a bend between two straight stretches, or mesh (the bore of the "
+        "mesh file in 'wall' between two straight stretches; default if 'wall' is given)",
         OneOf(UNITS),
         ALONE,
     ] = "bend-to-horizontal"
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), ALONE] = 0.1
     straight: Annotated[
-        float, "Length of the straight stretch before the bend or taper, and of the one behind it [m]", Above(), ALONE
+        float, "Length of each of the straight stretches before and behind the bend or taper [m]", Above(), ALONE
     ] = 0.3
     elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above(), ALONE, IN_BENDS] = 0.25
     angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), ALONE, IN_BENDS] = 90.0
     outlet_diameter: Annotated[
         float | None,
-        "Diameter to which the pipe narrows or widens: a straight pipe in its "
-        "middle, one with a bend after a straight stretch behind the bend [m]",
+        "Inner diameter behind a taper [m]; the taper lies in the middle of a straight pipe, or at the distance "
+        "'straight' behind a bend",
         Above(),
         ALONE,
     ] = None
     taper: Annotated[
         float,
-        "Length of the cone to the outlet diameter [m]",
+        "Length of the taper [m]",
         Needs("outlet_diameter", _is_given, "is given"),
         Needs("wall", lambda wall: wall is None, "is left out"),
         Above(),
     ] = 0.3
-    wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore is the part; the bore begins at the mesh's "
-                                "origin, along its x axis", ALONE, FileIf(bool)] = None  # fmt: skip
+    wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore is the part; the bore begins at the origin of "
+        "the mesh and leads along its x axis", ALONE, FileIf(bool)] = None  # fmt: skip
     wall_scale: Annotated[float, "Factor from the unit of the mesh file to metres: 0.001 for mm", OF_MESH,
                           Above()] = 1.0  # fmt: skip
-    line: Annotated[str | None, "File or shipped name of a line, whose parts replace all of these parameters; it "
-                                "also sets flow and concrete where they are not given; the line must begin and end "
-                                "straight",
+    line: Annotated[str | None, "File or name of a pump line, which replaces all of these parameters. It also sets "
+        "flow and concrete, unless you give them. The line must begin and end with a straight part",
                     FileIf(is_file)] = None  # fmt: skip
     facets: Annotated[
-        int, "Number of facets around a pipe with a cone, which is made of triangles", Within(8, 1000)
+        int, "Number of facets around a pipe with a taper, whose wall consists of triangles", Within(8, 1000)
     ] = FACETS
-    slices: Annotated[float, "Number of slices per diameter in which stress, solid fraction and velocity are measured; "
-                      "0: none, which makes samples ten times as fast", Within(0, 20)] = 2.0  # fmt: skip
+    slices: Annotated[float, "Number of slices per diameter in which stress, solid fraction and velocity are "
+        "measured; 0: no slices, with which a sample takes a tenth of the time", Within(0, 20)] = 2.0  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,11 +113,10 @@ class PushParameters:
     common: ClassVar[tuple[str, ...]] = ("flow", "travel")
 
     flow: Annotated[float, "Final volume flow that the piston displaces [m3/s]", Above()] = 1500e-6
-    travel: Annotated[float | None, "Travel of the piston, through a pipe ahead of the part; default: two diameters "
-                                    "[m]",
+    travel: Annotated[float | None, "Travel of the piston in the pipe before the part [m]; default: two diameters",
                       Above()] = None  # fmt: skip
-    ramp: Annotated[float | None, "Travel over which the piston's speed rises linearly; default: half of the travel "
-                                  "[m]",
+    ramp: Annotated[float | None, "Travel over which the speed of the piston rises linearly [m]; default: half of "
+        "the travel",
                     Within(0)] = None  # fmt: skip
 
 

@@ -92,8 +92,8 @@ class LawParameters:
         OneOf(LAWS),
         OWN_LAW,
     ] = "rolling"
-    modulus: Annotated[float | None, "Effective modulus of contacts, with law mortar of the cores [Pa]; default: 1e6 "
-                                     "with laws mortar and plastic, else 1e5", Above(), OWN_LAW] = None  # fmt: skip
+    modulus: Annotated[float | None, "Effective modulus of contacts, with the law mortar that of the cores [Pa]; "
+        "default: 1e6 with the laws mortar and plastic, else 1e5", Above(), OWN_LAW] = None  # fmt: skip
     stiffness_ratio: Annotated[float, "Ratio of normal to shear stiffness", Above(), OWN_LAW] = 2.0
     friction: Annotated[
         float | None,
@@ -105,35 +105,36 @@ class LawParameters:
         float, "Damping of the normal dashpot as a fraction of critical damping", Within(0), OWN_LAW
     ] = 0.5
     yield_stress: Annotated[
-        float, "Yield stress of the concrete [Pa]; the contacts get a yield stress whose sum over all slipping "
-               "contacts equals it",
+        float, "Yield stress of the concrete [Pa]; each contact gets the share with which all slipping contacts "
+            "together have this yield stress",
         Within(0), WITH_MORTAR,
     ] = 200.0  # fmt: skip
     viscosity: Annotated[
         float,
-        "Plastic viscosity of the concrete [Pa s]; the contacts get a viscosity that adds up to it",
+        "Plastic viscosity of the concrete [Pa s]; each contact gets the share with which all contacts together "
+        "have this viscosity",
         Above(),
         WITH_MORTAR,
     ] = 30.0
     shell_fraction: Annotated[
         float,
-        "Thickness of the two shells of a contact over the distance of the centres",
+        "Thickness of the two shells of a contact, divided by the distance of the centres",
         Above(),
         Within(0, 0.5),
         WITH_MORTAR,
     ] = 0.1
     shell_modulus: Annotated[float, "Stiffness of the shells [Pa]", Above(), WITH_MORTAR] = 1e4
     shell_tension: Annotated[
-        float, "Tensile strength of the shells over their yield stress", Within(0), WITH_PLASTIC
+        float, "Tensile strength of the shells, divided by their yield stress", Within(0), WITH_PLASTIC
     ] = 2.5
-    rolling_friction: Annotated[float, "Rolling friction: largest moment of a contact over its normal force and "
-                                       "radius", Within(0),
+    rolling_friction: Annotated[float, "Rolling friction: largest moment of a contact, divided by its normal force "
+        "and radius", Within(0),
                                 WITH_ROLLING, OWN_LAW] = 0.2  # fmt: skip
     bond_modulus: Annotated[float, "Effective modulus of bonds [Pa]", Above(), WITH_BONDS] = 2e4
     tensile_strength: Annotated[float, "Tensile strength of bonds [Pa]", Within(0), WITH_BONDS] = 10.0
     cohesion: Annotated[float, "Cohesion of bonds [Pa]", Within(0), WITH_BONDS] = 5.0
     friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
-    healing: Annotated[bool, "Bond new contacts when they touch", WITH_BONDS] = True
+    healing: Annotated[bool, "Bond bodies when they begin to touch each other during the run", WITH_BONDS] = True
     plate_grip: Annotated[
         float, "Ratio of friction, yield stress and viscosity on the plate to those between grains", Within(0)
     ] = 2.0
@@ -154,16 +155,18 @@ class VesselRun(Declared):
 
     common: ClassVar[tuple[str, ...]] = ("seed",)
 
-    duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
-        10.0
-    )
+    duration: Annotated[
+        float, "Longest simulated time [s]; the run ends earlier when the concrete is at rest", Above()
+    ] = 10.0
     rest_speed: Annotated[
         float,
-        "Speed below which the fastest grain of the main body must stay for a second to count as at rest [m/s]",
+        "Grains count as at rest if all grains of the main body have been slower than this speed for one second [m/s]",
         Above(),
     ] = 1e-3
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
-    settle: Annotated[float, "Longest time to settle in the closed vessel before the start [s]", Within(0)] = 1.0
+    settle: Annotated[
+        float, "Longest time for which the grains settle in the closed vessel before the start [s]", Within(0)
+    ] = 1.0
     time_step: FixedTimeStep = None
     safety: Safety = 0.8
     overlap_limit: Annotated[

@@ -41,8 +41,8 @@ def concrete_names() -> tuple[str, ...]:
 
 ConcreteName = Annotated[
     str,
-    "Concrete: no1, no2, no3 (Xu et al. 2021), scc (self-compacting), the path of a .yaml file, or own with the next "
-    "five constants",
+    "Concrete: no1, no2, no3 (Xu et al. 2021), scc (self-compacting), the path of a .yaml file, or own, which "
+    "takes its constants from the next five parameters",
     FileIf(is_file),
     Suggests(concrete_names),
 ]
@@ -65,11 +65,12 @@ class ConcreteParameters:
     concrete: ConcreteName = "no1"
     density: Annotated[
         float | None,
-        "Density [kg/m3]; the density and the next eight parameters replace the constants of the named concrete",
+        "Density of the concrete [kg/m3]. The density and the next eight parameters replace the constants of the "
+        "named concrete",
         Above(),
     ] = None
     viscosity: Annotated[
-        float | None, "Plastic viscosity [Pa s], or consistency k in Pa s^n with a flow_index n", Above()
+        float | None, "Plastic viscosity [Pa s]; with a flow_index n, the consistency k [Pa s^n]", Above()
     ] = None
     yield_stress: Annotated[float | None, "Yield stress [Pa]", Within(0)] = None
     slip_viscosity: Annotated[
@@ -78,37 +79,40 @@ class ConcreteParameters:
     slip_yield: Annotated[float | None, "Yield stress of the slip layer [Pa]", Within(0)] = None
     flow_index: Annotated[
         float | None,
-        "Flow index n of the Herschel-Bulkley law: stress = yield + k rate^n; default: 1, Bingham",
+        "Flow index n of the Herschel-Bulkley law: stress = yield stress + k rate^n; default: 1 (Bingham law)",
         Above(),
     ] = None
     quadratic_viscosity: Annotated[
         float | None,
-        "Coefficient c of the modified Bingham law [Pa s2]: stress = yield + viscosity rate + c rate^2; default: 0",
+        "Coefficient c of the modified Bingham law [Pa s2]: stress = yield stress + viscosity rate + c rate^2; "
+        "default: 0",
         Within(0, hint="use flow_index below 1 for a concrete that thins"),
     ] = None
     slip_flow_index: Annotated[
         float | None,
-        "Flow index n of the slip layer: stress = slip yield + slip viscosity x (slip velocity)^n; default: 1",
+        "Flow index n of the slip layer: stress = slip_yield + slip_viscosity x (slip velocity)^n; default: 1",
         Above(),
     ] = None
     slip_quadratic_viscosity: Annotated[
         float | None,
-        "Coefficient c of the slip layer [Pa s2/m2], whose stress gets a term c x (slip velocity)^2; default: 0",
+        "Coefficient c of the slip layer [Pa s2/m2], which adds c x (slip velocity)^2 to its stress; default: 0",
         Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
     ] = None
     yield_factor: Annotated[
         float | None,
-        "Factor of both yield stresses by which age or temperature change the concrete, from a source of your own; "
+        "Factor by which age or temperature change both yield stresses, for example from your own measurements; "
         "default: 1",
         Above(),
     ] = None
     viscosity_factor: Annotated[
         float | None,
-        "Factor of all viscosities of bulk and slip layer by which age or temperature change them; default: 1",
+        "Factor by which age or temperature change all viscosities of the concrete and of its slip layer; default: 1",
         Above(),
     ] = None
     slip_thickness: Annotated[
-        float, "Thickness of the slip layer, which reduces the radius of the concrete [m]", Within(0)
+        float,
+        "Thickness of the slip layer [m], by which the radius of the concrete is smaller than that of the pipe",
+        Within(0),
     ] = 0.0
 
     @classmethod

@@ -8,14 +8,16 @@ from ...core.errors import between, positive
 from ...core.inputs.parameters import Within
 
 STEP_ERROR = (
-    "Largest error of a step on a grid, as a fraction of the rms speed; it limits each step, and so does the passage "
-    "of a cell; 0: all steps equal time_step"
+    "Largest error of a time step on a grid, as a fraction of the root mean square of the velocity; it limits the "
+    "length of each step; 0: all steps have the length time_step"
 )
 PressureTolerance = Annotated[
-    float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
+    float,
+    "Tolerance of the pressure solve: largest residual at its end, divided by the residual at its start",
+    Within(1e-12, 0.5),
 ]
 MaximumIterations = Annotated[
-    int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
+    int, "Largest number of iterations of a solve; if a solve needs more, the run ends with an error", Within(1)
 ]
 """Type of a parameter that limits the iterations of each linear solve. All flows on a grid have this parameter."""
 

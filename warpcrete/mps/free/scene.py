@@ -22,7 +22,8 @@ from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 """Names of the lower and upper sides of the simulated space along each axis."""
 REST_SPEED = (
-    "Speed below which the fastest concrete, or 90 % of it in an L-box, must be for a second to count as at rest [m/s]"
+    "Concrete counts as at rest if all of it (in an L-box, 90 % of it) has been slower than this speed for one "
+    "second [m/s]"
 )
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon [m], each with its horizontal coordinate (or radius) and its height."""
@@ -34,11 +35,13 @@ class FreeSettings(Declared):
 
     common: ClassVar[tuple[str, ...]] = ("duration",)
 
-    duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
-        60.0
-    )
+    duration: Annotated[
+        float, "Longest simulated time [s]; the run ends earlier when the concrete is at rest", Above()
+    ] = 60.0
     rest_speed: Annotated[float, REST_SPEED, Above()] = 2e-4
-    time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 2e-2
+    time_step: Annotated[
+        float, "Longest time step [s]; if step_error is 0, all time steps have this length", Above()
+    ] = 2e-2
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 1e-3
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
     regularisation: Annotated[
@@ -49,7 +52,7 @@ class FreeSettings(Declared):
     tolerance: PressureTolerance = 1e-3
     maximum_iterations: MaximumIterations = 5000
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    sample_interval: Annotated[float, "Simulated time between two rows of the time series [s]", Above()] = 0.02
     seed: Annotated[int, "Random seed of the places and sizes of aggregates; nothing else is random", Within(0)] = 0
 
 

@@ -39,9 +39,11 @@ class PartSettings(Declared):
     common: ClassVar[tuple[str, ...]] = ("duration",)
 
     duration: Annotated[
-        float, "Longest simulated time; the run ends earlier when the pressure is steady [s]", Above()
+        float, "Longest simulated time [s]; the run ends earlier when the pressure is steady", Above()
     ] = 2.0
-    time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 5e-3
+    time_step: Annotated[
+        float, "Longest time step [s]; if step_error is 0, all time steps have this length", Above()
+    ] = 5e-3
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0, 1e4)] = 9.81
     regularisation: Annotated[float, "Parameter beta of the regularised flow law [s]", Above()] = 100.0
@@ -55,12 +57,12 @@ class PartSettings(Declared):
     ] = "half"
     steadiness: Annotated[
         float,
-        "Steadiness: largest relative change of the pressure in ten steps, and in the ten before, that counts "
+        "Largest relative change of the pressure in ten steps, and in the ten before, with which the flow counts "
         "as steady",
         Above(),
     ] = 1e-3
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    sample_interval: Annotated[float, "Simulated time between two rows of the time series [s]", Above()] = 0.02
     seed: Annotated[int, "Random seed of the places and sizes of aggregates; nothing else is random", Within(0)] = 0
 
 

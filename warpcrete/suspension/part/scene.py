@@ -27,7 +27,7 @@ class BlockageSettings(Declared):
     ] = None
     pressure_limit: Annotated[
         float,
-        "Frictional pressure at the start above which a pipe with aggregates counts as blocked [Pa]",
+        "Frictional pressure at the beginning of the pipe above which a pipe with aggregates counts as blocked [Pa]",
         Above(),
         USED_BY_AGGREGATES,
     ] = 1e7

@@ -34,13 +34,13 @@ ANY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", ("aggregates",)
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnWithAggregates(FlowParameters, AggregateParameters):
-    """Parameters of a straight pipe or channel whose concrete may contain aggregates that are simulated one by one."""
+    """Coarse aggregate, and the time step if each aggregate is a rigid body."""
 
     aggregate_fraction: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
         float | None,
-        "Volume fraction of the coarse aggregate. It is simulated one by one, as rigid bodies in the mortar, whose "
-        "constants are then those of the concrete; with 'aggregates', it is rigid groups of particles, and the default "
-        "is the concrete's gravel",
+        "Volume fraction of the coarse aggregate. Each aggregate is a rigid body in mortar, and the constants of "
+            "the concrete are then those of the mortar. With 'aggregates', each is a rigid group of particles, and "
+            "the default is the fraction of gravel in the concrete",
     ] = None  # fmt: skip
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), ANY_AGGREGATES] = 2630.0
     courant: Annotated[Courant, USED_BY_AGGREGATES] = 0.5

@@ -31,8 +31,8 @@ MIN_ACROSS = 8
 
 Courant = Annotated[
     float,
-    "Length of a time step of a flow with aggregates: cells that mortar on the axis passes in a step, by the theory of "
-    "mortar without aggregates, and that a single aggregate settles",
+    "Length of a time step of a flow with aggregates, as the number of cells that mortar on the axis may pass in a "
+    "step (by the theory of mortar without aggregates) and that a single aggregate may settle",
     Within(0.01, 1),
 ]
 
@@ -47,7 +47,7 @@ class StretchSettings(Declared):
     courant: Courant = 0.5
     gravity: Annotated[
         float,
-        "Gravity against the flow, which lets heavy aggregates fall behind the mortar; 0 for no settling [m/s2]",
+        "Gravity against the flow [m/s2], with which heavy aggregates settle; 0: no settling",
         Within(0, 1e4),
     ] = 9.81
     regularisation: Annotated[
@@ -58,7 +58,7 @@ class StretchSettings(Declared):
     tolerance: PressureTolerance = 1e-3
     maximum_iterations: MaximumIterations = 5000
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    sample_interval: Annotated[float, "Simulated time between two rows of the time series [s]", Above()] = 0.02
     seed: Annotated[int, "Random seed of the places and sizes of the aggregates", Within(0)] = 0
 
 
