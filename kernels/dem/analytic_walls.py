@@ -254,8 +254,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
     def far_from_walls(position: t.vec4, clear: t.vec4):
         """Return True if a sphere is certainly out of contact with all fixed walls.
 
-        This is so if the sphere has moved less, since its distance from the nearest fixed wall was last measured, than
-        this distance minus its radius. `clear` holds the sphere's centre at that time, and the distance [m].
+        `clear` holds the sphere's centre at the last measurement of its distance from the nearest fixed wall, and this
+        distance [m]. The sphere touches no fixed wall if it has since moved by less than the distance minus its radius.
         """
         room = clear[3] - position[3]
         return room > scalar(0.0) and wp.length_sq(xyz(position) - xyz(clear)) < room * room

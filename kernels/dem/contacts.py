@@ -41,7 +41,7 @@ def contact_kernel(
 
     The neighbour lists are half lists, which contain most pairs once. With `dissipation` the kernel also adds up the
     energy that friction, dashpots and breaking bonds dissipate [J]. A launch processes the spheres from `first` to
-    `last`, which are those of one thread.
+    `last`, which belong to one CPU thread.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -69,7 +69,8 @@ def recording_functions(scalar, bonds: bool):
     def old_row(
         scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), query: Query, i: wp.int32
     ):  # fmt: skip
-        """Return the index of the first entry of a sphere in the old neighbour list, and that after its last entry."""
+        """Return the range of a sphere's entries in the old neighbour list: the index of the first entry, and the index
+        after the last entry."""
         row = scenes.row[query.s].pairs
         place = old_place[i] + query.s
         return row + old_pairs.start[place], row + old_pairs.start[place + 1]

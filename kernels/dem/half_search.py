@@ -37,8 +37,8 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
 
     A chunk is the range of spheres of one CPU thread. Two rules decide at which sphere a pair is listed:
 
-    - A pair inside a chunk is listed at its larger sphere; of two equal spheres, at that with the lower index. The
-      search around a sphere then reaches no further than the sphere's own diameter plus the margin.
+    - A pair inside a chunk is listed at its larger sphere, or at the sphere with the lower index if both are equally
+      large. The search around a sphere then reaches no further than the sphere's own diameter plus the margin.
     - A pair across two chunks is listed at both spheres. A search near another chunk must therefore reach as far as the
       largest sphere.
 

@@ -113,8 +113,7 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
 def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixed: bool):
     """Return the function `gather`, which copies the data of one contact into a vector lane.
 
-    A vector lane is one of the contacts that a CPU computes at the same time. Here it is the contact in list entry k of
-    sphere i.
+    A vector lane is one of the contacts that a CPU computes at the same time.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -137,11 +136,11 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
         first_load: wp.int32, row: wp.int32, base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4,
         velocity_i: t.vec4, spin_i: t.vec3, columns: Columns, ints: Ints, lane: wp.int32,
     ):  # fmt: skip
-        """Copy the data of list entry k of sphere i into one vector lane.
+        """Copy the data of the contact in list entry k of sphere i into the vector lane `lane`.
 
-        A vector lane evaluates one contact. `row` is the index of the first contact parameters for the material of
-        sphere i. The other indices are the first ones of the scene: `base` among all spheres, `first_bond` among all
-        bond parameters, and `first_load` among all bond forces.
+        Four arguments are indices in arrays of the batch: `row` of the first contact parameters for the material of
+        sphere i, `base` of the scene's first sphere, `first_bond` of the scene's first bond parameters, and
+        `first_load` of the scene's first bond force.
         """
         entry = read_int(pairs.other, k)
         j = base + decode(entry)
@@ -289,9 +288,10 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
     ):
         """Add the results of the first `count` vector lanes to their spheres and pairs.
 
-        A vector lane is one of the contacts that a CPU computes at the same time. The calling CPU thread owns spheres
-        `first` to `last` - 1. A pair across the border of that range is listed and evaluated on both sides. Only the
-        copy at the sphere with the lower permanent number counts energy and broken bonds.
+        A vector lane is one of the contacts that a CPU computes at the same time. The calling CPU thread owns the
+        spheres `first` to `last` - 1. A pair of one of these spheres and a sphere of another thread is listed at both
+        spheres, and both threads evaluate it. Only the evaluation at the sphere with the lower permanent number counts
+        energy and broken bonds.
         """
         lane = wp.int32(0)
         while lane < count:

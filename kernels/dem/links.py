@@ -81,7 +81,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def force_on_end(end: wp.int32, force: t.vec4):
-        """Return the force of a pair of spheres (link) on one of the two [N].
+        """Return the force of a link (pair of spheres) on one of its spheres [N].
 
         `end` is nonnegative for the sphere with the lower permanent number, and negative for the other sphere.
         """
@@ -91,7 +91,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def moment_on_end(end: wp.int32, force: t.vec4, turn: t.vec4):
-        """Return the moment of a pair of spheres (link) about the centre of one of the two [N m].
+        """Return the moment of a link (pair of spheres) about the centre of one of its spheres [N m].
 
         `end` is nonnegative for the sphere with the lower permanent number, and negative for the other sphere.
         """

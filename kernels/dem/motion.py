@@ -218,9 +218,9 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
     - LATE, if the neighbour lists may miss a contact in the next step.
     - `near_list_exceeded`, if the near links (listed pairs of spheres that may touch soon) may miss a contact.
     - FAILED, if a sphere moves by more than its radius in one step. It could then pass through another sphere or a
-      wall. The sphere and the fastest mesh wall may together move by that distance; the wall counts with its final
-      speed even before it moves. During growth in packing this is no failure, because spheres start small and
-      overlap anyway.
+      wall. In a scene with mesh walls, the motion of the fastest mesh wall in one step is added to the motion of the
+      sphere. This motion is computed with the wall's final speed even before the wall moves. During growth in packing
+      the flag is not set, because spheres start small and overlap anyway.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -34,10 +34,10 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     ):  # fmt: skip
         """Set `fits` to 1 if the results of a neighbour search fit into the arrays, else to 0.
 
-        If they fit, also add 1 to the number of rebuilds in `built`. `scanned` contains running sums of the spheres'
-        numbers of neighbours, and `face_scanned` those of the spheres' numbers of nearby mesh faces. The last element
-        of each is the total number of entries. The arrays have space for `room` and `face_room` entries. An empty
-        `face_scanned` means that the scene has no meshes.
+        If they fit, also add 1 to the number of rebuilds in `built`. `scanned` contains running sums of the numbers of
+        neighbours of the spheres, and `face_scanned` contains running sums of the numbers of nearby mesh faces. The
+        last element of each array is the total number of entries. The lists have space for `room` and `face_room`
+        entries. An empty `face_scanned` means that the scene has no meshes.
         """
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room

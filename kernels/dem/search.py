@@ -1,4 +1,4 @@
-"""Functions that `half_search` (CPU) and `full_search` (GPU) share, and one that finds a pair in a list."""
+"""Functions that `half_search` (CPU) and `full_search` (GPU) share, and a function that finds a pair in a list."""
 
 import functools
 from types import SimpleNamespace

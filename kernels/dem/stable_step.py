@@ -137,7 +137,7 @@ def recording_functions(scalar):
 
 @functools.cache
 def floor_function(scalar, pair_law, wall_law):
-    """Return `floor_of`, which computes a least stiffness and damping that the stable step of each body must allow for.
+    """Return `floor_of`, which computes the smallest stiffness and damping for which a body's time step must be stable.
 
     A body in free flight has no contact, but its time step must already be stable for the next contact.
     """

@@ -218,8 +218,8 @@ def array_structs(scalar) -> SimpleNamespace:
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
         # `load` holds the force and the moment of each bond, shape (rows,). The force consists of shear vector and
-        # tension [N], the moment of bending vector and torsion [N m]. Both are in one array, because a GPU moves memory
-        # in units of 32 bytes. `warpcrete/dem/engine/bonding.py` explains which row a bond uses.
+        # tension [N]; the moment consists of bending vector and torsion [N m]. Both are in one array, because a GPU
+        # moves memory in units of 32 bytes. `warpcrete/dem/engine/bonding.py` explains which row a bond uses.
         load: wp.array(dtype=t.vec8)
 
     @wp.struct
@@ -281,8 +281,9 @@ def links_struct(scalar):
 
     @wp.struct
     class Links:
-        # For each link: the sphere with the lower and that with the higher permanent number, and the list entries at
-        # both, as indices in the scene. All four are -1 if the link is unused. Shape (links,).
+        # Four indices of each link, which count from the first row of the scene: the sphere with the lower permanent
+        # number, the sphere with the higher one, the list entry of the pair at the former sphere, and the entry at the
+        # latter sphere. All four are -1 if the link is unused. Shape (links,).
         link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
@@ -290,8 +291,8 @@ def links_struct(scalar):
         # Bit masks that mark neighbours in contact, for the entries of a sphere's neighbour list after the first BLOCK
         # entries. Each sphere has EXTRA_MASKS integers.
         later_touching: wp.array(dtype=wp.int32)
-        # For each entry of the neighbour lists, the index p of the link that stands for its pair. The entry of the
-        # sphere with the lower permanent number stores p, and that of the other sphere stores -1 - p.
+        # For each entry of the neighbour lists, the link that stands for its pair. If p is the index of the link, the
+        # entry of the sphere with the lower permanent number stores p, and the entry of the other sphere stores -1 - p.
         end: wp.array(dtype=wp.int32)
         # Result of each link (pair of spheres) in this step. An array element holds a vector and a number. The lower
         # sphere of a pair is the one with the lower permanent number. Without bonds, rolling resistance and energy
@@ -347,7 +348,7 @@ def subcycled_struct(scalar):
         law: wp.array(dtype=wp.int32)  # index of the pair's contact parameters in `pair_parameters`
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
 
-        # index of the pair's second entry in the neighbour list, or -1 if it has only one
+        # index of the pair's second entry in the neighbour list, or -1 if the pair has only one entry
         copy: wp.array(dtype=wp.int32)
         # contact history and bond of each pair; the last sub-cycling round of a step copies them to the neighbour list
         held: Pairs

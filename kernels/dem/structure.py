@@ -1,6 +1,6 @@
-"""Kernel that lowers the yield stress of a lubrication layer as the concrete slips along it.
+"""Kernel that computes how the yield stress of a lubrication layer decreases while the concrete slips along the wall.
 
-The layer gains yield stress at rest, and slip breaks this gain down again.
+The layer gained yield stress while the concrete was at rest, and slip destroys this gain.
 """
 
 import functools

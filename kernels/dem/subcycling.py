@@ -12,11 +12,11 @@ with its velocity. For a group of bodies that moves as a whole this scheme equal
 drift). Momentum is conserved, because both bodies of a contact receive the same impulse.
 
 An alternative was tried and rejected: the usual scheme that applies all other forces as one kick per step (Tuckerman et
-al. 1992). Such a kick loads a stiff bond with the force times the number of bond periods in a step. Bonds that survive
-without sub-cycling then broke. Forces held constant, as used here, have a drawback too. They feed energy into
-vibrations with periods between half a step and a full step, mostly through the dashpots of ordinary contacts, which act
-when the velocity has already changed. Therefore the step is limited to half of what ordinary contacts allow
-(`SUBCYCLED_STEP_FRACTION`), and stiff bonds have dashpots (`RELAXATION`).
+al. 1992). Such a kick loads a stiff bond with the force times the number of bond periods in a step. With this scheme,
+bonds broke that do not break in a run without sub-cycling. Forces held constant, as used here, have a drawback too.
+They feed energy into vibrations with periods between half a step and a full step, mostly through the dashpots of
+ordinary contacts, which act when the velocity has already changed. Therefore the step is limited to half of what
+ordinary contacts allow (`SUBCYCLED_STEP_FRACTION`), and stiff bonds have dashpots (`RELAXATION`).
 """
 
 import functools

@@ -71,7 +71,7 @@ def test_a_slump_ends_at_rest_and_a_funnel_empty():
     assert Simulation(slump, **CPU).run().ended.reason == "rest"
     short = Simulation(scenes.slump(yield_stress=600.0, viscosity=60.0, spacing=0.02, duration=0.1), **CPU).run()
     assert short.ended.reason == "duration" and not short.result["at_rest"]
-    with pytest.raises(KeyError, match="no quantity 't500': runs that measure it have it only if the spread grows"):
+    with pytest.raises(KeyError, match="no quantity 't500': runs have this quantity only if the spread grows"):
         short["t500"]
     with pytest.raises(KeyError, match=r"no quantity .spred.; similar names are .*spread"):
         short["spred"]

@@ -79,7 +79,7 @@ MISTAKES = {
     "dashpot not told": (
         "p.shear_stiffness, p.damping, scalar",
         "p.shear_stiffness, scalar(0.0), scalar",
-        r"c_n = 0 N s/m .*must be at least that of force",
+        r"c_n = 0 N s/m .*must be at least the value that follows from force",
     ),
     "energy at the gap 0": ("return stored -", "return scalar(0.1) + stored -", r"J at the gap 0': must be 0 J there"),
     "not a number": (

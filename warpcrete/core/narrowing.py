@@ -1,4 +1,5 @@
-"""Functions that check the type of a value; type checkers then know this type, but not that of a list's elements."""
+"""Functions that check the type of a value; type checkers then know this type, but not the type of a list's
+elements."""
 
 from __future__ import annotations
 

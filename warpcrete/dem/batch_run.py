@@ -36,12 +36,13 @@ def run_batch(
     checkpoints: Sequence[Path | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Outcome]:
-    """Run simulations on one device, as many at the same time as share features and fit into its memory.
+    """Run simulations on one device; those that need the same kernel features run together, as many as memory allows.
 
     Returns one entry for each simulation: its :class:`Run`, or the error that ended the simulation. The failure of a
     simulation does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or
-    None. After Ctrl-C the entry of a simulation that had begun is its unfinished run, and the entry of any other is a
-    `KeyboardInterrupt`. `progress` is called with the name of the present part of the work and the fraction completed.
+    None. After Ctrl-C the entry of a simulation that had begun is its unfinished run, and the entry of any other
+    simulation is a `KeyboardInterrupt`. `progress` is called with the name of the present part of the work and the
+    fraction completed.
     """
     tell = progress or (lambda phase, fraction: None)
     try:
@@ -143,7 +144,8 @@ class _BatchMember:
         time.
         """
         self.stream = stream
-        """CUDA stream of this batch while other batches run at the same time, otherwise None."""
+        """CUDA stream on which this batch runs while other batches run at the same time; None if the batch runs
+        alone."""
         self._members: list[ElementSimulation] = []
 
     def begin(self, numbers: Sequence[int]) -> None:
@@ -170,7 +172,8 @@ class _BatchMember:
             self.scenes[number] = (stepper, self._whole_run(number))
 
     def end(self, results: dict[int, Outcome]) -> None:
-        """Store the results of the batch, and set `stopped` if Ctrl-C interrupted a run."""
+        """Add `results`, the results of the batch's simulations, to `outcomes`; set `stopped` if Ctrl-C interrupted a
+        run."""
         self.outcomes |= results
         self.stopped = any(
             isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()

@@ -32,12 +32,12 @@ from .scene.containers import PipeContainer
 from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 
-# Minimum fraction of the measured wall time that is attributed to steps, even if the estimated time of list rebuilds
-# would leave less.
+# Minimum fraction of the measured wall time that is attributed to steps. It applies if the estimated time of list
+# rebuilds exceeds the rest of the measured time.
 LEAST = 0.1
 TIMING_TIME = 0.7  # Wall time during which steps are measured [s].
-# The forecast times a copy of the scene with at most this number of spheres, on a GPU (True) or a CPU (False). With
-# more spheres the time per sphere is constant.
+# Maximum number of spheres in the copy of the scene that the forecast times. The key is True for a GPU and False for a
+# CPU. With more spheres, the time per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
 # Distance that concrete moves between two rebuilds of the neighbour lists, divided by the lists' skin (the largest gap
 # of a listed pair). In a straight pipe (STRAIGHT), concrete moves like a rigid body. In a bend (BENT), neighbours move
@@ -124,7 +124,7 @@ class _ShortenedCopy:
         if isinstance(container, PipeContainer) and container.bore is not None:
             self.remarks.append(
                 "the forecast assumes that the whole part is as wide as its start: numbers of aggregates and times are "
-                "too large for a part that narrows, and too small for one that widens"
+                "too large if the part narrows, and too small if it widens"
             )
         packed = self._packed(precision, threads) if scene.fill is not None else None
         simulation = ElementSimulation(
@@ -233,10 +233,10 @@ class _ShortenedCopy:
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
 
     def limits(self) -> tuple[dict[str, float], str]:
-        """Return stable time steps [s] by name, each for only some of the forces, and a text on what limits the step.
+        """Return stable time steps [s] by name, and a text that says what limits the time step.
 
-        The names stand for contacts without bonds, contacts with one kind of bond, contacts without dashpots,
-        sub-cycled bonds, and all forces together.
+        Each of these steps is the stable step for some of the forces: contacts without bonds, contacts with one kind of
+        bond, contacts without dashpots, sub-cycled bonds, and all forces together.
         """
         simulation, stepper, scene = self.simulation, self.stepper, self.scene
         fixed = scene.time_step.fixed
@@ -258,7 +258,7 @@ class _ShortenedCopy:
         rounds = subcycles.rounds
         if rounds:
             found["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
-            # Switch sub-cycling off, because the limits that are estimated next are those of steps without it.
+            # Switch sub-cycling off, because the limits that are estimated next apply to steps without sub-cycling.
             subcycles.set_rounds(stepper.index, 0)
         try:
             found["contacts"] = estimate()
@@ -304,7 +304,7 @@ class _ShortenedCopy:
                 share = 100 * (1 - alone / undamped)
                 words.append(f"their dashpots shorten the step by {share:.0f} % compared with springs alone")
         if rounds:
-            words.append(f"hydrated bonds are integrated in {rounds} rounds per step, for which the step is halved")
+            words.append(f"hydrated bonds are integrated in {rounds} rounds per step, which halves the step")
         words.append(self._smallest())
         return {**found, "all together": whole}, "; ".join(words)
 
@@ -339,8 +339,8 @@ class _ShortenedCopy:
         table = self.simulation.state.table()
         least = int(np.argmin(table.mass))
         group = f" of {table.group[least]}" if table.group[least] else ""
-        return (f"the lightest bodies limit the step, here {1e3 * table.size[least]:.3g} mm{group} (spheres of "
-                f"{2e3 * spheres.min():.3g} mm or more)")  # fmt: skip
+        return (f"the lightest bodies limit the step; their size is {1e3 * table.size[least]:.3g} mm{group} "
+                f"(spheres of {2e3 * spheres.min():.3g} mm or more)")  # fmt: skip
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
@@ -394,7 +394,8 @@ def _memory(simulation: ElementSimulation) -> dict[str, float]:
 
 
 def _features(simulation: ElementSimulation) -> dict[str, str]:
-    """Return, for each optional feature of the kernels, why the scene needs it; otherwise "left out"."""
+    """Return, for each optional feature of the kernels, why the scene needs it, or "left out" if the scene does not
+    need it."""
     f, scene = simulation.model.features, simulation.scene
     bonds = [name for name, there in (("bonds between aggregates", scene.bonds), ("hydrated bonds", scene.hydration))
              if there] + [f"bonds of {group}" for group in scene.group_bonds]  # fmt: skip

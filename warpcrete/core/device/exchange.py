@@ -96,9 +96,9 @@ class Exchange:
         self._pending_arrays: tuple[DeviceArray, ...] = ()
         self._pending_buffers: PinnedBuffers | None = None
         self._read_event: wp.Event | None = wp.Event(device) if device.is_cuda else None
-        # Writes have serial numbers. `_last_write` is the number of the last write, `_last_write_before_read` that of
-        # the last write before the pending read, and `_last_completed_write` that of the last write that is known to be
-        # complete.
+        # Writes have serial numbers. `_last_write` is the number of the last write, `_last_write_before_read` is the
+        # number of the last write before the pending read, and `_last_completed_write` is the number of the last write
+        # that is known to be complete.
         self._last_write = self._last_write_before_read = self._last_completed_write = 0
 
     def read(self, *arrays: DeviceArray) -> list[HostArray]:

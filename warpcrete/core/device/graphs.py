@@ -14,8 +14,8 @@ _collecting_or_capturing = threading.RLock()
 """Lock that one thread holds during a garbage collection or during the capture of a graph.
 
 The garbage collector frees the arrays of a run that has ended, in whichever thread it happens to run. CUDA refuses to
-capture a graph while another thread frees memory (error 906, a legacy stream operation during a capture). To disable
-the collector during a capture is not enough: another thread may be in the middle of a collection when the capture
+capture a graph while another thread frees memory (error 906, a legacy stream operation during a capture). It would not
+suffice to disable the collector during a capture: another thread may be in the middle of a collection when the capture
 begins, because Warp releases Python's interpreter lock while it frees memory.
 """
 
@@ -30,7 +30,8 @@ def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
         _collecting_or_capturing.acquire()
         _collections[:] = [info["generation"]]
     else:
-        # A collection that was running when this callback was registered stops without having acquired the lock.
+        # The release fails if this collection was running when the callback was registered, because the collection then
+        # never acquired the lock.
         with suppress(RuntimeError):
             _collecting_or_capturing.release()
 
@@ -38,14 +39,14 @@ def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
 def _lock_collections() -> None:
     """Make garbage collections hold the lock from now on, and wait until a collection without the lock has ended.
 
-    The first capture calls this function, so a program that captures no graph has no callback: Python prints and drops
-    an exception inside a callback of the collector, so a Ctrl-C that arrives there is lost.
+    The first capture calls this function, so a program that captures no graph has no such callback. This matters
+    because Python drops exceptions inside a callback of the collector: a Ctrl-C that arrives there is lost.
     """
     if _hold_lock_during_collection in gc.callbacks:
         return
     gc.callbacks.append(_hold_lock_during_collection)
     while not _collections:
-        gc.collect(0)  # Returns at once while another thread collects.
+        gc.collect(0)  # This call returns at once if another thread is collecting.
 
 
 def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
@@ -93,7 +94,7 @@ class GraphLaunch:
     """
 
     def __init__(self, stages: Sequence[Recordable], device: wp.Device) -> None:
-        self.stages = tuple(stages)  # Keep them, because they hold references to the arrays of the graph.
+        self.stages = tuple(stages)  # Keep the stages, because they hold references to the arrays of the graph.
         self._graph: wp.Graph | None = None
         if device.is_cuda:
             for stage in self.stages:

@@ -213,7 +213,8 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
-    """Sort modules, each with its block size: those that compile longest, with the most kernel parameters, go first."""
+    """Sort modules, each with its block size: modules with the most kernel parameters go first, because they compile
+    longest."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 

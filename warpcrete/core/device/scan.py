@@ -1,6 +1,6 @@
-"""Exclusive prefix sums on a device: from the lengths of rows that are stored end to end, the start index of each row.
+"""Exclusive prefix sums on a device: they turn the lengths of rows into the indices at which the rows begin.
 
-The sums use kernels of this package, so that every launch graph can contain them.
+The rows are stored end to end. The sums use kernels of this package, so that every launch graph can contain them.
 """
 
 import warp as wp

@@ -300,12 +300,14 @@ class _Net:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """Return values with one more node at both ends of each axis; a new node gets the value of the node beside it."""
+    """Return the array `values` with one more node at both ends of each axis; a new node gets the value of its
+    neighbour."""
     return np.pad(values.astype(float), 1, mode="edge") if values.size else np.zeros([2] * values.ndim)
 
 
 def _padded_places(place: np.ndarray) -> np.ndarray:
-    """Return the coordinates of nodes along an axis, extended by one node at both ends with the spacing there."""
+    """Return the coordinates of nodes along an axis, with one more node at each end, as far away as the next inner
+    node."""
     if len(place) < 2:
         return np.concatenate([place - 1, place, place + 1]) if len(place) else np.arange(2.0)
     return np.concatenate([[2 * place[0] - place[1]], place, [2 * place[-1] - place[-2]]])

@@ -6,7 +6,7 @@ from .amounts import FOOT, INCH, POUND, PSI, YARD
 
 CUSTOMARY_SIZES = {"in": INCH, "ft": FOOT, "yd3": YARD**3, "yd3/h": YARD**3 / 3600, "psi": PSI, "psi/ft": PSI / FOOT,
                    "lb/yd3": POUND / YARD**3, "ft3/yd3": 1 / 27, "hp": 550 * FOOT * POUND * 9.80665}  # fmt: skip
-"""SI values of the customary US units in which answers are given beside metric units."""
+"""SI values of the customary US units in which results are given in addition to metric units."""
 METRIC_SIZES = {"mm": (1e-3, "in"), "m": (1.0, "ft"), "kg/m3": (1.0, "lb/yd3"), "l/m3": (1e-3, "ft3/yd3"),
                 "bar": (1e5, "psi"), "kPa": (1e3, "psi"), "MPa": (1e6, "psi"), "kPa/m": (1e3, "psi/ft")}  # fmt: skip
 """Metric units of :func:`both`, each with its SI value and the customary US unit for the same quantity."""

@@ -86,8 +86,11 @@ class Needs:
     """Condition in words, such as "is given"; a message shows them after the name of the parameter `field`."""
     others: tuple[str, ...] = ()
     refused: bool = True
-    """True if a parameter without effect is an error. If False, it gives a warning only, because a study may compare
-    other cases with the one in which it has no effect."""
+    """True if a parameter without effect is an error.
+
+    If False, it gives a warning only, because a study may compare other cases with a case in which the parameter has no
+    effect.
+    """
 
     def holds(self, value: Callable[[str], Any]) -> bool:
         """Return whether at least one of the parameters `field` and `others` passes the test.
@@ -136,10 +139,10 @@ class CompositeRule:
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
-        """Return a copy of the parameters `values` in which one entry holds an object instead of the name of its class.
+        """Return a copy of the parameters `values` with an object as the value of `field`.
 
-        This entry is that of the parameter `field`. The object is made from the class name and from the parameters that
-        belong to the object, which are missing in the copy.
+        In `values`, the value may be the name of a class. The object is made from this name and from the parameters
+        that belong to the object, which are missing in the copy.
         """
         raise NotImplementedError
 

@@ -65,7 +65,8 @@ def name_of(path: Path | str) -> str:
     """Return the name of a file without its extension, as text that can be encoded as UTF-8 in any locale."""
     name = Path(path).stem
     try:
-        # Python decoded the name with the locale's encoding, which may not be UTF-8. Take its bytes as UTF-8 instead.
+        # Python decoded the name with the locale's encoding, which may not be UTF-8. Decode the bytes of the name as
+        # UTF-8 instead.
         return os.fsencode(name).decode("utf-8", "replace")
     except UnicodeEncodeError:
         return name

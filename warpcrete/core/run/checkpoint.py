@@ -40,8 +40,8 @@ def write_partial(path: Path, scene: object, device: wp.Device, precision: str, 
 
     `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
     digest of its contents. The previous checkpoint stays at `path` until `commit`. If a recorder fails to write its
-    part, the run can therefore go on from a state that all recorders have on disk. Raises :class:`RunFolderError` if
-    the file cannot be written.
+    part, the run can therefore go on from the previous state, for which all recorders have written their data. Raises
+    :class:`RunFolderError` if the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
     text = {

@@ -42,7 +42,8 @@ class FolderLock:
         self._file = self._locked()
         os.ftruncate(self._file, 0)
         owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
-        with suppress(OSError):  # Ignore a full disk: the folder is locked, although the file cannot name the owner.
+        # Ignore a full disk: the lock works even if the owner's name cannot be written into the lock file.
+        with suppress(OSError):
             os.write(self._file, owner.encode())
         remove_partial(folder)
 
@@ -113,7 +114,7 @@ def _lock(file: int) -> bool:
 
 def _is_at(file: int, path: Path) -> bool:
     """Return whether an open lock file still exists at `path`; its last owner may have removed or replaced it."""
-    if fcntl is None:  # Windows cannot remove an open file, so it still exists.
+    if fcntl is None:  # Windows cannot remove an open file, so the lock file still exists.
         return True
     try:
         there = path.stat()

@@ -45,7 +45,7 @@ class Frames:
         return self.next < sample - self._time_step
 
     def schedule_next(self, time: float) -> None:
-        """Set the time at which the next frame (picture of the state) is recorded, after one at `time` [s]."""
+        """Set the time at which the next frame (picture of the state) is recorded, after a frame at `time` [s]."""
         if self._requested_interval is None and time > self._expected_duration:
             self.next = time + min(LONGEST_FRAME_INTERVAL, time / MINIMUM_FRAMES)
         else:

@@ -35,14 +35,15 @@ _without_folder: Callable[[Any], Sequence[Any]] | None = None
 def register_folders(folder_at: Callable[[Path], RunOutput], without_folder: Callable[[Any], Sequence[Any]]) -> None:
     """Register the function that makes a :class:`RunOutput` with default settings from the path of a folder.
 
-    `without_folder` takes a simulation without a folder, and returns the recorders that it has besides the user's.
+    `without_folder` takes a simulation without a folder, and returns the recorders that it has in addition to the
+    user's recorders.
     """
     global _folder_at, _without_folder
     _folder_at, _without_folder = folder_at, without_folder
 
 
 def recorders_without_folder(simulation: Any) -> Sequence[Any]:
-    """Return the recorders that a `simulation` without a folder has besides the user's."""
+    """Return the recorders that a `simulation` without a folder has in addition to the user's recorders."""
     return () if _without_folder is None else _without_folder(simulation)
 
 

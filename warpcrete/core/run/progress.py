@@ -71,7 +71,7 @@ class ProgressBar:
     def __init__(self) -> None:
         self._bar: tqdm[NoReturn] | None = None
         self._phase: _Phase | None = None
-        # Phase that continues when kernels are compiled.
+        # Phase that the compilation of kernels has interrupted, and that continues afterwards.
         self._interrupted: _Phase | None = None
         self._as_lines = not (stderr_is_terminal() or _in_notebook())
 
@@ -147,7 +147,8 @@ _announced = False
 def announce_compiling(phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
     """Print one line on standard error when this process compiles kernels for the first time; ignore other progress.
 
-    Runs without a progress bar use this callback. Compiling may take minutes, and they would seem to hang meanwhile.
+    Runs without a progress bar use this callback. Compiling may take minutes, during which a run without this line
+    would seem to hang.
     """
     global _announced
     if phase == "compiling" and not _announced:

@@ -57,7 +57,7 @@ def processor_features() -> str:
 
     Different models may share one name, for example in a virtual machine. Warp compiles CPU kernels for the features.
     """
-    features = _cpu_entry("flags") or _cpu_entry("Features")  # On ARM, Linux lists them under "Features".
+    features = _cpu_entry("flags") or _cpu_entry("Features")  # On ARM, Linux lists the features under "Features".
     return hashlib.sha256(" ".join(sorted(features.split())).encode()).hexdigest()[:16] if features else ""
 
 

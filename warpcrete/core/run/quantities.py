@@ -18,7 +18,8 @@ _conditions: dict[type, Callable[[], Mapping[str, str]]] = {}
 def declare_conditions(scene_type: type, conditions: Callable[[], Mapping[str, str]]) -> None:
     """Declare under which conditions runs of the scenes of a type have a quantity; see :func:`conditions_of`.
 
-    `conditions` is called when they are needed, because a user may add standard tests with quantities of their own.
+    The function `conditions` is called whenever the conditions are needed, because a user may add standard tests with
+    quantities of their own.
     """
     _conditions[scene_type] = conditions
 
@@ -26,9 +27,9 @@ def declare_conditions(scene_type: type, conditions: Callable[[], Mapping[str, s
 def conditions_of(scene: object) -> Mapping[str, str]:
     """Return the conditions under which runs of a scene have a quantity, by the quantity's name, for messages.
 
-    Each simulation method declares its own, because quantities of several methods may have the same name. If the type
-    of the scene belongs to no method, as in a folder whose scene cannot be built again, the result has the conditions
-    on which all methods agree that declare them.
+    Each simulation method declares its own conditions, because quantities of several methods may have the same name.
+    The type of the scene may belong to no method, for example in a folder whose scene cannot be built again. The result
+    then contains the condition of a quantity only if all methods that have the quantity declare the same condition.
     """
     for kind in type(scene).__mro__:
         if kind in _conditions:

@@ -59,7 +59,7 @@ class Recorder:
         """
 
     def tidy(self, simulation: SimulationBase, run: Run) -> None:
-        """Tidy up the files after a complete run: remove or join those that only a resumed run would need."""
+        """Tidy up the files after a complete run: remove or join the files that only a resumed run would need."""
 
     def close(self, simulation: SimulationBase) -> None:
         """Release all resources, however the run ended."""

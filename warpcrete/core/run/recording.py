@@ -24,8 +24,8 @@ class Recording:
         self.active: list[Recorder] = []
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
-        """Errors at the end of the run, because of which the run does not count as finished: those of recorders that
-        are not `expendable`, and those of any recorder that found the disk full."""
+        """Errors at the end of the run that make the run count as unfinished: errors of recorders that are not
+        `expendable`, and errors of any recorder that found the disk full."""
         self._states: dict[str, object] = {}  # Data that each recorder stored in the last checkpoint, by class name.
 
     def begin(self, states: Mapping[str, object]) -> None:

@@ -88,15 +88,15 @@ class Run:
     def __getitem__(self, name: str) -> float:
         """Return a quantity of the whole run in SI units, with its unit in the attribute `unit` if it has one.
 
-        Raises :class:`KeyError` if the run does not have the quantity. The message suggests similar names, and
-        says on which condition a run has it if there is one.
+        Raises :class:`KeyError` if the run does not have the quantity. The message suggests similar names, and states
+        the condition under which runs have the quantity, if there is such a condition.
         """
         quantities = self.quantities
         if name not in quantities:
             similar = difflib.get_close_matches(str(name), quantities, 3)
             what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
             if condition := conditions_of(self.scene).get(name):
-                what = f": runs that measure it have it only if {condition}{what}"
+                what = f": runs have this quantity only if {condition}{what}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
         return quantities[name]
 

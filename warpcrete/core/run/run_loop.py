@@ -41,14 +41,14 @@ class Simulation(CheckpointedSimulation):
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
     `float64`; None takes the precision that the scene states. `threads` is the number of threads on a CPU; None takes
-    one thread for each core. The results of flows on a grid are bitwise equal for any number of threads, those of
-    discrete elements only if this number is equal. `frame_interval` is the simulated time between two recorded frames
-    [s]; None takes the default of :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or
-    a callback.
+    one thread for each core. The results of flows on a grid are bitwise equal for any number of threads; the
+    results of discrete elements are bitwise equal only for equal numbers of threads. `frame_interval` is the simulated
+    time between two recorded frames [s]; None takes the default of :class:`warpcrete.core.run.frames.Frames`.
+    `progress` is True for a progress bar, or a callback.
 
     `out` is the path of a new run folder, which then holds everything that `warpcrete run` writes, and which an
     interrupted run continues; a :class:`warpcrete.RunFolder` also selects recordings and colours. The checkpoint is in
-    this folder; as in the command, `checkpoint_every=0` writes none.
+    this folder; with `checkpoint_every=0`, no checkpoint is written, as in the command.
 
     Without `out`, the file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall
     time (0: at every row of the time series), at an interruption and at the end. The file is removed when all other
@@ -191,7 +191,7 @@ class Simulation(CheckpointedSimulation):
         if run.folder is not None:
             text += f", which are saved in '{run.folder}'"
             if self._checkpoint_time is not None:
-                text += f"; the same lines continue the run from its checkpoint at t = {self._checkpoint_time:.3f} s"
+                text += f"; run the same lines again to go on from the checkpoint at t = {self._checkpoint_time:.3f} s"
         print(text, file=sys.stderr, flush=True)
 
     def write_run(self, run: Run, contents: dict[str, Any]) -> None:
@@ -331,7 +331,7 @@ class Simulation(CheckpointedSimulation):
             self._sample()
             self._frame()
         samples = max(1, int(np.ceil(duration / interval - 1e-9)))
-        # The first row is that at t = 0, so the number of rows is the number of the next sample.
+        # The first row belongs to t = 0, so the number of rows is the number of the next sample.
         for number in range(len(self.rows), samples + 1):
             if self.stop_requested:
                 self._checkpoint()

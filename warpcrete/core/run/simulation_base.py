@@ -54,8 +54,8 @@ class SimulationBase(SimulationOnDevice):
         kind: Any = cls
         kinds = SimulationBase.kinds
         if not hasattr(cls, "scene_type"):
-            # Search the simulation classes that were defined last first. Their scene types may be subclasses of the
-            # scene types of earlier classes, which would also match the scene.
+            # Search the simulation classes in the reverse order of their definition. A scene type may be a subclass of
+            # the scene type of an earlier class, which would then match the scene, too.
             kinds = [kind for kind in kinds if issubclass(kind, cls)]
             kind = next((kind for kind in reversed(kinds) if isinstance(scene, kind.scene_type)), cls)
         wanted = getattr(kind, "scene_type", None)

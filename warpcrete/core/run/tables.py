@@ -44,8 +44,8 @@ def dataframe(
 ) -> DataFrame:
     """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
 
-    The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not
-    installed; the message names `instead`, such as "the arrays in run.series", as another way to the data.
+    The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed; the
+    message names `instead`, such as "the arrays in run.series", as another way to get the data.
     """
     try:
         import pandas  # pyright: ignore[reportMissingTypeStubs]
@@ -70,7 +70,7 @@ def dataset(
     Each variable with a unit has it in `attrs["units"]`, where plots of xarray and pint find it, and each variable has
     its name in words in `attrs["long_name"]`. Exponents are written as in "m^3/s", which pint requires. `attributes`
     become the attributes of the whole Dataset. Raises :class:`WarpcreteError` if xarray is not installed; the message
-    names `instead`, such as "the arrays in run.series", as another way to the data.
+    names `instead`, such as "the arrays in run.series", as another way to get the data.
     """
     try:
         xarray: Any = importlib.import_module("xarray")

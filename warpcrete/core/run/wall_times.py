@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 
 class WallTimes:
-    """Wall times of a run. A resumed run adds its own time to that in the checkpoint."""
+    """Wall times of a run. A resumed run adds its own time to the time in the checkpoint."""
 
     def __init__(self) -> None:
         self.phases: dict[str, float] = {}

@@ -157,7 +157,7 @@ class Batch(JointArrays):
         self._wall_launch = None
 
     def use_step(self, step: Step, rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
-        """Set the recorded launches of a time step, and of the work that follows each group of steps on a GPU.
+        """Set the recorded launches of a time step, and of the work that a GPU does after each group of time steps.
 
         `step` holds one list of launches for each CPU thread. The launches stay valid while `has_step` is True. After
         each group of steps, a GPU launches `between_pieces`, which estimates stable time steps and, in a batch of one
@@ -175,8 +175,8 @@ class Batch(JointArrays):
     def set_goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
         """Let scene `s` continue until it has completed `steps` steps in total or has reached the time `until` [s].
 
-        Every `interval` steps it halts for a new estimate of its stable time step. The scene must not have reached
-        either goal yet.
+        The scene also halts after every `interval` steps, so that its stable time step can be estimated anew. The scene
+        must not have reached either goal yet.
         """
         goal = until, min(interval, NEVER)
         if goal != (self.rows["until"][s], self.rows["interval"][s]):

@@ -26,7 +26,8 @@ PAIRS_PER_SPHERE = (
 
 
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
-    """Return the device memory of a body without its spheres, and of a sphere with its neighbours and bonds [B].
+    """Return the device memory of a body without its spheres [B], and that of a sphere with its neighbours and bonds
+    [B].
 
     `table` must contain at least one body.
     """
@@ -42,20 +43,20 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
     scalar = bytes_of(model.scalar)
-    # `listing` is the memory per sphere for neighbour lists and bonds [B]. The terms in this line stand for the current
-    # and the previous neighbour list, the first list entry of each sphere, and the cell grid of the neighbour search.
-    # The terms for bonds follow below.
+    # `listing` is the memory per sphere for neighbour lists and bonds [B]. The terms in this line are, in this order:
+    # the current and the previous neighbour list; eight 32-bit integers, such as the index of the sphere's first list
+    # entry; the sphere's centre; and the sphere's part of the cell grid. The terms for bonds follow below.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
-    # Add memory for the forces and moments of bonds. On a CPU, a bond may have two copies of them, one for each of two
-    # threads. If contacts can form bonds during the run (healing), the memory of a listed pair already includes a force
-    # and a moment.
+    # Add memory for the forces and moments of bonds. On a CPU, a bond between spheres of two threads has two copies of
+    # its force and moment. If contacts can form bonds during the run (healing), the memory of a listed pair already
+    # includes a force and a moment.
     if model.features.bonds and not model.features.healing:
         listing += (2 if model.features.half_list else 1) * BONDS_PER_SPHERE * 8 * scalar
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        # Add memory for the neighbours that the search finds, and for the position of each sphere's first neighbour
-        # among them.
+        # Add memory for the list of neighbours that the search finds, and for the position at which each sphere's
+        # neighbours begin in this list.
         listing += 4 * listed + 4
     else:
         # Add memory for the buffer in which the neighbour search stores the neighbours of each sphere.

@@ -44,7 +44,7 @@ class Features:
     healing: bool
     """True if bodies that come into contact during the run form bonds.
 
-    If False, bonds form only at the start of the run and at a rest.
+    If False, bonds form only at the start of the run, and during a rest of the concrete.
     """
     subcycling: bool
     """True if stiff bonds are sub-cycled: each time step integrates them with several shorter steps (rounds)."""

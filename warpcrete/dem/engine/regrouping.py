@@ -14,13 +14,12 @@ from .state import State
 from .stepper_protocol import SceneStepper
 
 LARGEST_SHARE = 0.5
-"""Fraction of a batch's spheres. If at most this fraction belongs to running scenes, these scenes move to a smaller
-batch."""
+"""Largest fraction of a batch's spheres that belong to running scenes when these scenes move to a smaller batch."""
 LAUNCHES_BEFORE_REGROUPING = 20
-"""Number of successive launches in which few spheres belong to running scenes, before these scenes move.
+"""Number of successive launches after which the running scenes move to a smaller batch.
 
-Few means at most the fraction `LARGEST_SHARE`. The delay is useful because the move costs more than it saves if the
-running scenes end soon.
+In all these launches, at most the fraction `LARGEST_SHARE` of the batch's spheres must belong to running scenes. The
+delay is useful because the move costs more than it saves if the running scenes end soon.
 """
 MEMORY_SHARE = 0.5
 """Fraction of the free device memory that the new, smaller batch may use.

@@ -19,12 +19,12 @@ from .struct_types import Estimate
 
 
 class StableStep:
-    """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
+    """Estimate of a scene's largest stable step from its masses and the present stiffness of contacts and bonds.
 
     The estimate is stored in the column STABLE of the array `clock`, which has a row for each scene. The size of the
-    next step, in the column DT, follows from the estimate and from the settings of the scene. If the program chooses
-    the step, it obeys two more limits. Impacts with little dissipation must keep their energy to about 1 %, and fast
-    bodies must move by no more than a fraction of their radius per step.
+    next step, in the column DT, follows from the estimate and from the settings of the scene. A step that the program
+    chooses obeys two more limits. Impacts with little dissipation must keep their energy to about 1 %, and fast bodies
+    must move by no more than a fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:

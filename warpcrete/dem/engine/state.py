@@ -30,7 +30,7 @@ OF_BATCH = {
     "candidates": ("near", "near_count", "chosen"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
-"""Names of the arrays that only a whole batch has, not the state of each scene, by the name of their struct.
+"""Names of the arrays that a batch stores, but not the state of each scene; the keys are the names of structs.
 
 The batch calculates these arrays from its models, or needs their values only within a step.
 """
@@ -41,7 +41,8 @@ NUMBERS = (
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return the names of all arrays that a state stores, by the name of their struct, without those in OF_BATCH."""
+    """Return the names of all arrays that a state stores, by the name of their struct. Arrays named in OF_BATCH are
+    left out."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
@@ -370,8 +371,8 @@ class State:
 PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
 """Names of the arrays of the struct `pairs` that have one entry for each listed pair.
 
-A batch has only those that its scenes need. The array `load` (force and moment of bonds) has one entry for each listed
-pair only if contacts can form bonds during the run. Otherwise it has one entry for each bond.
+A batch allocates only the arrays that its scenes need. The array `load` (force and moment of bonds) has one entry for
+each listed pair only if contacts can form bonds during the run. Otherwise it has one entry for each bond.
 """
 
 

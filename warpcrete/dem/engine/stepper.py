@@ -87,10 +87,8 @@ class Stepper:
         self._longest_wall_step = (
             LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
         )
-        """Longest time step [s] in which no wall with prescribed motion moves too far.
-
-        The limit is `LEAP` times the radius of the smallest sphere.
-        """
+        """Longest time step [s] in which each wall with prescribed motion moves by at most `LEAP` times the radius of
+        the smallest sphere."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -114,7 +112,8 @@ class Stepper:
             sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
             # The lists of mesh candidates stay complete while spheres and meshes move relative to each other by at most
-            # `mesh_skin`. If meshes move, half of this distance is left to the spheres and half to the meshes.
+            # `mesh_skin`. If meshes move, the spheres may move by half of this distance and the meshes by the other
+            # half.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
@@ -325,10 +324,11 @@ class Stepper:
         return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
-        """Advance the scene to `goal`: a time, reached to within one step, or a number of steps of the current size.
+        """Advance the scene to `goal`, which is a time or a number of steps of the current size.
 
-        This coroutine yields whenever the batch must step. It must be resumed when the scene has halted. The scene
-        halts when it has reached the goal or needs a new estimate of its stable step.
+        The scene ends at a time that exceeds the goal by less than one step. This coroutine yields whenever the batch
+        must step. It must be resumed when the scene has halted. The scene halts when it has reached the goal or needs a
+        new estimate of its stable step.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)
@@ -357,7 +357,7 @@ class Stepper:
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
     def advance(self, until: float) -> None:
-        """Advance this scene alone to the end of the step that reaches `until` [s]: up to one step later than that."""
+        """Advance this scene alone until `until` [s], or by less than one step beyond this time."""
         drive_one(self, self._yield_goal(Until(until)))
 
     def take(self, count: int) -> None:

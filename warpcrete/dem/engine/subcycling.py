@@ -129,7 +129,7 @@ class Subcycles:
         return float(self.arrays.stable.numpy()[s])
 
     def state_dict(self, s: int) -> dict[str, HostArray | int]:
-        """Return the data of the sub-cycled (stiff) bonds of scene `s` for a checkpoint; empty if it has no such
+        """Return the checkpoint data of the sub-cycled (stiff) bonds of scene `s`; empty if the scene has no such
         bonds."""
         stored = self._values(s)
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}

@@ -1,4 +1,5 @@
-"""Growth of the lubrication layer's yield stress while concrete stands still, and its loss by slip (Roussel 2006)."""
+"""Yield stress of the lubrication layer: its growth while concrete stands still, and its decrease by slip (Roussel
+2006)."""
 
 from __future__ import annotations
 
@@ -19,17 +20,18 @@ def _rest_of(scene: Scene) -> Rest:
 
 
 class Structure:
-    """Yield stress that the lubrication layers on walls have gained at rest and lose again by slip.
+    """Yield stress that the lubrication layers on walls have gained while the concrete stood still.
 
-    Each scene of a batch has its own value. After the slip s [m], the fraction exp(-s / `Rest.breakdown`) of the gain
-    is left. The slip is taken to be the distance that the wall `Rest.wall` has travelled since the rest.
+    The layers lose this gain when they slip. Each scene of a batch has its own gain. After the slip s [m], the fraction
+    exp(-s / `Rest.breakdown`) of the gain is left. The slip is taken to be the distance that the wall `Rest.wall` has
+    travelled since the rest.
     """
 
     def __init__(self, batch: SceneBatch) -> None:
         """Prepare the layers of a batch in which every scene has a lubrication layer that gains strength at rest."""
         self.batch = batch
-        # The contact parameters in the model must not change. The yield stress of the layer changes during the run, so
-        # the batch uses a copy of the parameters of walls, in which it is updated.
+        # The yield stress of the layer changes during the run, but the contact parameters in the model must not change.
+        # The batch therefore updates the yield stress in a copy of the wall parameters.
         batch.wall_parameters = clone(batch.wall_parameters)
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]
         self._own_yield = DeviceArray(np.array(own, dtype=float), dtype=batch.scalar, device=batch.device)
@@ -48,8 +50,8 @@ class Structure:
     def stage(self) -> Stage:
         """Return the launch that computes the present yield stress of each scene's lubrication layer.
 
-        The layer gained yield stress while the concrete was at rest. The more it has slipped along the wall since the
-        rest, the more of this gain is lost.
+        The layer gained yield stress while the concrete was at rest. The more the layer has slipped along the wall
+        since the rest, the more of this gain it has lost.
         """
         b = self.batch
         return b.stage(

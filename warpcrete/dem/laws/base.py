@@ -88,7 +88,8 @@ class ContactLaw(Declared, ABC):
     @property
     @abstractmethod
     def stress_scale(self) -> float:
-        """Order of magnitude of the stress in a strongly compressed contact [Pa]: the modulus of a linear law."""
+        """Order of magnitude of the stress in a strongly compressed contact [Pa]; for a linear law it is the
+        modulus."""
 
     @property
     @abstractmethod
@@ -143,7 +144,7 @@ class ContactLaw(Declared, ABC):
 
 
 def own_laws(laws: Iterable[ContactLaw]) -> str:
-    """Return the names of the classes of `laws`, and of laws inside them, that come from outside of this package."""
+    """Return the names of the classes of `laws`, and of laws inside them, that are defined outside this package."""
     found: list[str] = []
     for law in laws:
         nested = [value for name in declared_fields(type(law)) if isinstance(value := getattr(law, name), ContactLaw)]
@@ -153,7 +154,7 @@ def own_laws(laws: Iterable[ContactLaw]) -> str:
 
 
 def _is_own(law: type[ContactLaw]) -> bool:
-    """Return whether a class of contact laws comes from outside of this package."""
+    """Return whether a class of contact laws is defined outside this package."""
     return not law.__module__.startswith(f"{PACKAGE}.")
 
 
@@ -179,11 +180,11 @@ def _functions(law: type[ContactLaw], scalar: Any) -> SimpleNamespace:
 
 @functools.cache
 def _struct(name: str, fields: tuple[tuple[str, Any], ...]) -> Any:
-    """Return the Warp struct with a name and fields, one object for equal structs.
+    """Return the Warp struct with a name and fields; calls with equal arguments return the same object.
 
-    Warp merges kernels whose code is equal, but refuses arrays of an equal struct that is another object. This matters
-    if a cell of a notebook that defines a law is run again, or if two files define equal laws. Structs with other
-    fields need another name, because one kernel may contain the laws of two files.
+    Warp merges kernels whose code is equal, but refuses arrays whose struct is an equal struct in another object. This
+    matters if a cell of a notebook that defines a law is run again, or if two files define equal laws. Structs with
+    other fields need another name, because one kernel may contain the laws of two files.
     """
     text = " ".join(f"{field} {getattr(kind, 'key', None) or kind.__name__}" for field, kind in fields)
     mark = hashlib.sha256(text.encode()).hexdigest()[:8]
@@ -200,8 +201,8 @@ def _device_type(field: Field, scalar: Any) -> Any:
 def damping_ratio(restitution: float) -> float:
     """Return the damping, as a fraction of critical damping, that gives a coefficient of `restitution` from 0 to 1.
 
-    With the coefficient of restitution e, the damping is -ln e / sqrt(ln^2 e + pi^2). It is exact for the linear and
-    the Hertz-Mindlin law if the dashpot may make the total normal force tensile at the end of an impact.
+    With the coefficient of restitution e, the damping is -ln e / sqrt(ln^2 e + pi^2). This formula is exact for the
+    linear and the Hertz-Mindlin law if the dashpot may make the total normal force tensile at the end of an impact.
     """
     between("restitution", restitution, 0, 1)
     if restitution == 0:

@@ -98,7 +98,8 @@ class LubricationLayer(ContactLaw):
                 drag = zero
             if touch.gap < zero:
                 drag += p.viscosity * area(touch)
-            # The total normal force minus that of the spring is the normal force of the dashpot.
+            # Subtract the spring's normal force from the total normal force; the difference is the dashpot's normal
+            # force.
             resisting = wp.dot(alone, n) + spring
             return (normal_part + shear + drag * vs, shear, slid + (resisting * vn + drag * wp.length_sq(vs)) * dt)
 

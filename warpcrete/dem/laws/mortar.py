@@ -46,13 +46,13 @@ class BinghamMortar(ContactLaw):
     normal_damping_ratio: Annotated[
         float, "Damping of the cores' dashpot as a fraction of critical damping", Within(0)
     ] = 0.5
-    shell_fraction: Annotated[float, "Thickness of the two shells over the distance of the centres at touch",
+    shell_fraction: Annotated[float, "Thickness of the two shells divided by the distance of the centres at touch",
                               Above(), Within(0, 0.5)] = 0.1  # fmt: skip
     shell_modulus: Annotated[float, "Stiffness of the mortar against compression [Pa]", Above()] = 1e4
     yield_stress: Annotated[float, "Yield stress tau_0 of the mortar [Pa]", Within(0)] = 50.0
     plastic_viscosity: Annotated[float, "Plastic viscosity mu of the mortar [Pa s]", Within(0)] = 5.0
-    tension: Annotated[float, "Tensile strength of a shell over tau_0 A; 0: no tension", Within(0)] = math.sqrt(3)
-    bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = (
+    tension: Annotated[float, "Tensile strength of a shell divided by tau_0 A; 0: no tension", Within(0)] = math.sqrt(3)
+    bending: Annotated[float, "Largest moment of a shell divided by tau_0 A r; 0: spheres roll freely", Within(0)] = (
         4 / math.sqrt(3) / math.pi
     )
 
@@ -164,7 +164,7 @@ def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
 
     @wp.func
     def with_bending(p: Parameters, touch: Touch, shear: scalar, dashpot: scalar):
-        """Return the stiffness [N/m] and damping [N s/m] of a contact's shear, with those of its bending added.
+        """Add contributions of bending to the shear stiffness [N/m] and damping [N s/m] of a contact; return both sums.
 
         The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r limits the
         step at most as much as a shear stiffness k_r / r^2, so k_r / r^2 is added to the shear stiffness.

@@ -52,7 +52,10 @@ _STORED = {
     "on_a, ": ("force", 0),
     "torque, ": ("moment", 0),
 }
-"""Beginnings of statements in `kernels/dem/law_trial.py`, with the function and the number of the value they take."""
+"""Warp function of which a statement of `kernels/dem/law_trial.py` uses a result, and the index of this result.
+
+The keys are the beginnings of these statements.
+"""
 _WHERE = re.compile(r'Error while parsing function "([^"]+)" at (.*?):(\d+):\s*?\n(.*?)\n;', re.DOTALL)
 
 

@@ -43,8 +43,10 @@ class PlasticMortar(BinghamMortar):
 
     called = "plastic"
 
-    tension: Annotated[float, "Tensile strength of a shell in addition to its slider, over tau_0 A", Within(0)] = 2.5
-    bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
+    tension: Annotated[
+        float, "Tensile strength of a shell in addition to its slider, divided by tau_0 A", Within(0)
+    ] = 2.5
+    bending: Annotated[float, "Largest moment of a shell divided by tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
 
     def gripped(self, grip: float) -> ContactLaw:
         # Give the wall contacts a rolling resistance, because a single sphere would otherwise roll away along the wall.
@@ -90,7 +92,8 @@ class PlasticMortar(BinghamMortar):
 
         @wp.func
         def turned(touch: Touch, v: t.vec3):
-            """Return the force `v` after rotating it as the pair of bodies has rotated; its length does not change."""
+            """Return the force `v` rotated by the rotation that the pair of bodies made in the last step; its length
+            does not change."""
             square = wp.length_sq(v)
             after = v + wp.cross(touch.tilt + touch.twist * touch.normal, v)
             longer = scalar(1.0)

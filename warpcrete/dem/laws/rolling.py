@@ -34,7 +34,9 @@ class RollingResistance(ContactLaw):
     called = "rolling"
 
     contact: Annotated[Contact, "Law that supplies springs, dashpots and friction"] = field(default_factory=Contact)
-    rolling_friction: Annotated[float, "Rolling friction mu_r: largest moment over normal force and R", Within(0)] = 0.1
+    rolling_friction: Annotated[
+        float, "Rolling friction mu_r: largest moment divided by the normal force and by R", Within(0)
+    ] = 0.1
     rolling_damping_ratio: Annotated[
         float, "Damping of the rolling dashpot as a fraction of critical damping", Within(0)
     ] = 0.3
@@ -69,8 +71,8 @@ class RollingResistance(ContactLaw):
         def rolling_stiffness(p: Parameters, touch: Touch):
             """Return the stiffness [N m/rad] and the dashpot [N m s/rad] of the rolling spring.
 
-            The dashpot is a fraction of the critical dashpot, which is that of two spheres rolling in place. Their
-            inertia is 7/5 m r^2, with the reduced mass m and the smaller radius r.
+            The dashpot is a fraction of the critical dashpot for two spheres that roll in place. The inertia of these
+            spheres is 7/5 m r^2, with the reduced mass m and the smaller radius r.
             """
             k = linear_stiffness(p.contact, touch)
             kr = k[1] * touch.reduced_radius * touch.reduced_radius

@@ -34,13 +34,13 @@ FIRST_STEP = 60
 ENERGY_TOLERANCE = 0.05
 """Largest difference of work and energy, divided by the work that was done so far."""
 TOLD_SHARE = 0.5
-"""Smallest stiffness or dashpot that `stiffness` may return, as a fraction of the one that `force` shows."""
+"""Smallest stiffness or dashpot that `stiffness` may return, as a fraction of the value that follows from `force`."""
 ONSET_TOLERANCE = 0.01
 """Largest difference between the overlaps at which two laws begin to push, divided by the radius."""
 SLOW, PROBE = 1e-4, 1e-2
 """Speeds of a slow path and of an impact, divided by the root of `stress_scale` over the density."""
 ROUNDING = 1e-3
-"""Smallest part of a force, or of an energy, that counts as more than rounding."""
+"""Smallest fraction of a force, or of an energy, that is too large to be a rounding error."""
 NORMAL, ALONG = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
 """Normal of the contact, and direction in which body b slides, in `kernels/dem/law_trial.py`."""
 STRESS_FACTOR = 30.0
@@ -91,7 +91,8 @@ def check_own_laws(bodies: Iterable[ContactLaw], walls: Iterable[ContactLaw], wh
 
 @dataclass(frozen=True)
 class _Onset:
-    """Overlaps at which a law begins to push [m]; None if its force does not grow with the overlap."""
+    """Overlaps at which a law begins to push [m], for two spheres and for a wall; None if the force does not grow with
+    the overlap."""
 
     name: str
     pair: float | None
@@ -105,13 +106,13 @@ def _same_reach(one: _Onset, other: _Onset, where: Circumstances) -> None:
             refuse(
                 other.name,
                 f"pushes {what} apart from an overlap of {wrong:.3g} m on",
-                f"must begin at {right:.3g} m like {one.name}, because the coats of all stones have one thickness",
+                f"must begin to push at {right:.3g} m like {one.name}, because all stones have equally thick coats",
                 "give both laws the same reach; a law of the same class may have no pull",
             )
 
 
 def _tried(law: ContactLaw, name: str, where: Circumstances) -> _Onset:
-    """Check a law if it is a user's, and return where it begins to push."""
+    """Check a contact law if a user wrote it, and return the overlaps at which it begins to push."""
     own = bool(own_laws([law]))
     if own:
         check_object(law)
@@ -145,8 +146,9 @@ def _march(
 ) -> SimpleNamespace:
     """Return what the functions of a law return along a path of two spheres, and along the same path at a wall.
 
-    The path has one value per step: the `gap` [m], the speeds at which it opens and of sliding [m/s]. With `keep` = 0,
-    each step begins with a zero history. The results have the shape (2, steps, ...); index 1 is the wall.
+    The path has one value per step: the `gap` [m], the speed `opening` at which the gap grows [m/s], and the `sliding`
+    speed [m/s]. With `keep` = 0, each step begins with a zero history. The results have the shape (2, steps, ...). The
+    first index is 0 for the two spheres and 1 for the wall.
     """
     scalar, device = where.scalar, where.device
     three, four = types(scalar).vec3, types(scalar).vec4
@@ -231,7 +233,8 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             "must be 0 J there if the history is zero",
             "subtract this constant",
         )
-    # A dashpot adds on the way in what it takes away on the way out, so the mean is the force of the springs.
+    # While the gap closes, a dashpot increases the force; while the gap opens, it decreases the force by the same
+    # amount. The mean of the forces on both ways is therefore the force of the springs.
     spring = 0.5 * (found.push[:, : STEPS + 1] + found.push[:, : STEPS - 1 : -1])
     slope = np.diff(spring[:, FIRST_STEP:]) / np.diff(depth[FIRST_STEP : STEPS + 1])
     told = np.maximum(found.stiffness[:, FIRST_STEP:STEPS, 0], found.stiffness[:, FIRST_STEP + 1 : STEPS + 1, 0])
@@ -244,7 +247,8 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             f"must be at least the slope of force(), which is {slope[place]:.3g} N/m, so that steps are stable",
             "return the derivative of the force by the overlap",
         )
-    # In a contact as deep as the stones are wide, 2 / DEEPEST times deeper, a linear spring would have this stress.
+    # The stress is that of a linear spring in a contact whose overlap is as large as the diameter of the stones. This
+    # overlap is 2 / DEEPEST times the deepest overlap of the path.
     stress = push[-1] * (2 / DEEPEST) / (2 * depth.max() / DEEPEST) ** 2
     if stress > 0 and not 1 / STRESS_FACTOR < law.stress_scale / stress < STRESS_FACTOR:
         warn(
@@ -282,13 +286,13 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
         f"{name}.force()",
         f"{lost[wall, k]:.3g} J lost up to an overlap of {overlap:.3g} m {what}",
         f"must be {work[wall, k] - now:.3g} J, the work of the force minus the change of energy()",
-        "return the energy that dashpots and slip take in the step as third value, and book it in energy() if a "
-        "spring stores it",
+        "return as third value the energy that dashpots and slip dissipate in the step; energy that a spring stores "
+        "belongs to energy()",
     )
 
 
 def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, speed: float) -> None:
-    """Check at several depths that dashpots and friction act against the motion, and that `stiffness` tells them."""
+    """Check at several depths that dashpots and friction act against the motion, and that `stiffness` includes them."""
     name = type(law).__name__
     dt = 1e-3 * depth[0] / speed
     closing, opening = (_march(law, where, dt, 0, -depth, sign * speed, 0.0) for sign in (-1, 1))
@@ -337,7 +341,7 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
             refuse(
                 f"{name}.stiffness()",
                 f"{label} = {told[place]:.3g} {unit} at an overlap of {depth[place[1]]:.3g} m",
-                f"must be at least that of force(), which is {acts[place]:.3g} {unit}, so that steps are stable",
+                f"must be at least the value that follows from force(), {acts[place]:.3g} {unit}, for stable steps",
                 "return k_n, k_s, c_n and c_s in this order",
             )
 

@@ -22,7 +22,8 @@ QUANTITIES = (
     Quantity("blockage_window", "m", lambda known: None if known.blockage is None else known.blockage.window,
              meaning="Piston travel during which part of the concrete stands still before the pipe counts as blocked"),
     Quantity("slowest_advance", "1", lambda known: None if known.blockage is None else _finite(known.blockage.slowest),
-             meaning="Advance of the slowest part of the concrete at the last check, divided by that of the piston"),
+             meaning="Advance of the slowest part of the concrete at the last check, divided by the advance of the "
+                     "piston"),
     Quantity("blocked_at", "m", _of("at"),
              meaning="Arc length of the blockage along the axis of the pipe", only_if=BLOCKED),
     Quantity("blocked_time", "s", _of("time"),
@@ -32,13 +33,13 @@ QUANTITIES = (
     Quantity("blocked_pressure", "Pa", _of("pressure"),
              meaning="Pressure on the piston when the blockage was detected", only_if=BLOCKED),
     Quantity("blocked_pressure_before", "Pa", _of("pressure_before"),
-             meaning="Pressure on the piston when that part of the concrete stopped", only_if=BLOCKED),
+             meaning="Pressure on the piston when a part of the concrete stopped", only_if=BLOCKED),
     Quantity("blocked_solid_fraction", "1", _of("solid_fraction"),
              meaning="Solid fraction at the blockage", only_if=BLOCKED),
     Quantity("blocked_chains", "1", _of("chains"),
              meaning="Number of networks of strong contacts that span the pipe at the blockage", only_if=BLOCKED),
 )  # fmt: skip
-"""Quantities of a blocked pipe. The mean of `blocked` over several seeds is a probability."""
+"""Quantities of a blocked pipe. The mean of `blocked` over several seeds is the probability of a blockage."""
 
 
 def _finite(value: float) -> float | None:

@@ -247,7 +247,7 @@ class ElementDisplay(Display):
         return self.derived(("on", axis), found)
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mid-radii of rings about the pipe's axis [mm] and the bodies' mean axial velocity in each [cm/s].
+        """Return the mid-radii of rings about the pipe's axis [mm], and the bodies' mean axial velocity in each [cm/s].
 
         Bodies are weighted by volume. Rings without bodies are omitted.
         """
@@ -350,8 +350,8 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        # Only in a scene with hydration is kind 2 that of hydrated bonds. Elsewhere it is that of other bonds, such as
-        # those inside a body group, so all bonds are drawn with the same colour.
+        # In a scene with hydration, the kind 2 stands for hydrated bonds. In other scenes it stands for other bonds,
+        # such as the bonds inside a body group, so all bonds are drawn with the same colour.
         if not self.simulation.scene.hydration:
             return {"contacts": lines(touching & (kinds <= 0)), "bonds": lines(kinds > 0)}
         hydrated = kinds == int(HYDRATED)

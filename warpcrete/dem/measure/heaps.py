@@ -13,7 +13,8 @@ import numpy as np
 FINE = 0.25
 """Distance between the vertical rays that scan a heap from above, divided by the largest sphere radius."""
 DIRECTIONS = 36
-"""Number of directions in which the spread of a heap is measured; with fewer, single aggregates change the mean."""
+"""Number of directions in which the spread of a heap is measured. With fewer directions, single aggregates would change
+the mean."""
 
 Range = tuple[float, float]
 

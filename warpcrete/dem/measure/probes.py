@@ -33,8 +33,9 @@ class ContactSums:
     deepest: float
     """Largest overlap of any contact, divided by the overlap up to which contact laws are meaningful.
 
-    Between spheres that is the overlap at which the larger sphere contains the smaller one, or at which the centres are
-    only half as far apart as at first touch, whichever comes first. On walls it is the radius of the sphere.
+    Between spheres, this limit is the overlap at which the larger sphere contains the smaller one, or at which the
+    centres are only half as far apart as at first touch, whichever comes first. On walls, the limit is the radius of
+    the sphere.
     """
     elastic_energy: float
     """Energy stored in contact springs, walls included, at the middle of the last step [J]."""

@@ -29,9 +29,12 @@ from .wear_results import report as report_wear
 WINDOW = 0.2
 """Length of the final window, in which pressures are averaged, as a fraction of the piston's travel."""
 LEVEL = 0.1
-"""Largest change of the pressure on a plateau, divided by its mean. Two changes must stay within this limit. The first
-is the difference between the mean over the final window and the mean over an equal window before it. The second is the
-rise of a straight line that is fitted to the pressure in the final window."""
+"""Largest change of the pressure on a plateau, divided by the mean pressure.
+
+Two changes must stay within this limit. The first is the difference between the mean over the final window and the mean
+over an equal window before it. The second is the rise of a straight line that is fitted to the pressure in the final
+window.
+"""
 NOISE = 2.0
 """Tolerance for the change of the pressure in the final window, in standard deviations of the pressure's noise. The
 tolerance is needed because a noisy pressure may rise or fall by chance in a short window."""
@@ -77,7 +80,7 @@ class Known:
 
     @property
     def window(self) -> np.ndarray:
-        """Mask of the samples over whose mean the final pressure is taken, shape (samples,).
+        """Mask of the samples whose mean pressure is the final pressure, shape (samples,).
 
         They form the final window, the last fraction WINDOW of the piston's travel. If the piston stops between
         strokes, the window is the last fraction WINDOW of the travel in the last stroke.
@@ -265,7 +268,7 @@ def no_plateau(run: Run) -> str:
         return "none: the run was stopped before the piston had moved steadily for long enough"
     gone = travel - pipe.begun(travel)
     return (
-        f"none: of {gone:.4g} m of travel the last {WINDOW * gone:.3g} m must come after the ramp of "
+        f"none: the last {WINDOW * gone:.3g} m of the travel of {gone:.4g} m must come after the ramp of "
         f"{pipe.ramp:g} m; move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp"
     )
 
@@ -336,17 +339,17 @@ QUANTITIES = (
              meaning="Friction per length of the straight pipe before the bend, taper or bore, without weight"),
     Quantity("middle_loss", "Pa", lambda k: k.along("middle_loss"), "bend, taper, bore", _middle_words, True,
              meaning="Friction of the bend, taper or bore, without weight: the difference between the lines fitted "
-                     "to the axial stress before and behind it"),
+                     "to the axial stress before and behind this middle part"),
     Quantity("middle_ratio", "1", lambda k: k.along("middle_ratio"), compared=True,
-             meaning="`middle_loss` divided by the friction of straight pipe of the same length next to it"),
+             meaning="`middle_loss` divided by the friction of an equally long straight pipe next to the middle"),
     Quantity("middle_excess", "Pa", lambda k: k.along("middle_excess"), "excess over straight",
-             meaning="`middle_loss` minus the friction of straight pipe of the same length next to it"),
+             meaning="`middle_loss` minus the friction of an equally long straight pipe next to the middle"),
     Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
              _gradient_words("downstream_gradient"), True,
              meaning="Friction per length of the straight pipe behind the bend, taper or bore, without weight"),
     Quantity("flux_ratio", "1", lambda k: k.along("flux_ratio"), "outflow over inflow",
              lambda run: f"{100 * run.result['flux_ratio']:.0f} %",
-             meaning="Volume flow of the aggregates behind the middle, divided by that before it"),
+             meaning="Volume flow of the aggregates behind the middle, divided by the volume flow before the middle"),
     Quantity("wall_stress", "Pa", lambda k: k.along("wall_stress"),
              meaning="Mean shear stress on the wall of a straight pipe"),
     Quantity("upstream_wall_stress", "Pa", lambda k: k.along("upstream_wall_stress"),

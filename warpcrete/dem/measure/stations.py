@@ -47,8 +47,8 @@ class StationLog:
     """Measurements, one array of shape (slices, COLUMNS) for each sample; NaN in slices that concrete did not fill."""
 
     def add(self, model: Model, state: State, travel: float) -> None:
-        """Measure all slices of the pipe in the present state, and append the sample; `travel` is that of the piston
-        [m]."""
+        """Measure all slices of the pipe in the present state, and append the sample; `travel` is the travel of the
+        piston [m]."""
         self.samples.append(measured(self.stations, model, state, travel))
 
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
@@ -206,8 +206,8 @@ class _Spheres:
 def _stresses(stations: Stations, seen: StationArrays, spheres: _Spheres) -> np.ndarray:
     """Return each slice's mean normal stress and axial stress, both times the slice's volume [J], shape (slices, 2).
 
-    Both follow from the sum over contacts of force times branch vector: the first is a third of its trace, the second
-    its component along the pipe. Both are positive in compression.
+    Both follow from a tensor: the sum over contacts of force times branch vector. The mean normal stress is a third of
+    its trace, and the axial stress is its component along the pipe. Both are positive in compression.
     """
     edges, axis = np.array(stations.edges), stations.axis
     body_s = axis.along(spheres.middle)

@@ -12,8 +12,8 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
 MAX_ROUNDING = (
-    # Largest allowed rounding error of positions, divided by the smallest radius. An overlap of 1 % of the radius is
-    # then known to one digit.
+    # Largest allowed rounding error of positions, divided by the smallest radius. With this error, an overlap of 1 % of
+    # the radius is accurate to one digit.
     1e-3
 )
 

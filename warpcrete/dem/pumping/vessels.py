@@ -187,8 +187,8 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     HOLDING: ClassVar[dict[str, float]] = {}
     """Default of `mould_grip` by contact law, for tests with a funnel; the default of laws not listed is 0.
 
-    `mould_grip` is the resistance of the walls to sliding, divided by that of the grains. Without friction on the
-    walls, mortar would fall out of a funnel in two seconds whatever its viscosity.
+    `mould_grip` is the resistance of the walls to sliding, divided by the resistance between grains. Without friction
+    on the walls, mortar would fall out of a funnel in two seconds whatever its viscosity.
     """
 
     def __post_init__(self) -> None:
@@ -222,7 +222,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def mould_grip_or_default(self) -> float:
-        """Resistance of the mould to sliding, divided by that of the grains: the parameter, or its default.
+        """Resistance of the mould to sliding, divided by the resistance between grains: the parameter, or its default.
 
         Friction, yield stress and viscosity of contacts with the mould are those between grains times this factor. The
         default depends on the contact law, and is at most `plate_grip`, the same factor for the plate.

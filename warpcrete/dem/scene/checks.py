@@ -38,10 +38,8 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _finer(scene: Scene, error: float) -> str:
-    """Return a finer time step setting, with which an error in proportion to the step would be within its limit.
-
-    The result aims at four fifths of the limit.
-    """
+    """Return a finer time step setting. If the error is proportional to the time step, it becomes four fifths of its
+    limit."""
     factor = 0.8 * LARGEST_ENERGY_ERROR / error
     if scene.time_step.fixed is not None:
         fixed = f"{factor * scene.time_step.fixed:.2g}"
@@ -51,8 +49,8 @@ def _finer(scene: Scene, error: float) -> str:
 
 
 def overlap_words(scene: Scene, overlap: float) -> str:
-    """Return the largest overlap as text; for a contact law with soft shells around aggregates, also how thick they
-    are."""
+    """Return a text with the largest overlap; for a contact law with soft shells around aggregates, it also states the
+    thickness of the shells."""
     words, law = f"largest overlap {overlap:.3g} of the smaller radius", scene.contact
     if isinstance(law, BinghamMortar):
         return f"{words}, of which shells of mortar are {2 * law.shell_fraction:.2g} in spheres of equal size"

@@ -43,7 +43,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
         warn(f"concrete {found.name} has no sieve curve, so the scene's default sizes apply to its aggregate; give a "
              "sieve curve of openings [mm] and shares that pass, in a mix 'sieve: {4: 0, 8: 0.4, 16: 1}', or as the "
              "parameter sizes='4:0,8:0.4,16:1'")  # fmt: skip
-    # The density of the elements follows from the concrete's bulk density, unless the user gives that of the elements.
+    # The density of the elements follows from the concrete's bulk density, unless the user gives the density of the
+    # elements.
     if "density" in values:
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)

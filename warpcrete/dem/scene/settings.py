@@ -19,7 +19,10 @@ class Bonds(Declared):
     called = "bond"
 
     effective_modulus: Annotated[
-        float, "Effective modulus [Pa]; the bond stiffness per area is this modulus over L", Above()
+        float,
+        "Effective modulus [Pa]; the bond stiffness per area is this modulus divided by the distance L of the "
+        "centres at touch",
+        Above(),
     ] = 2e4
     stiffness_ratio: Annotated[float, "Ratio of normal to shear bond stiffness", Above()] = 2.0
     tensile_strength: Annotated[float, "Tensile strength [Pa]", Within(0)] = 10.0
@@ -29,7 +32,7 @@ class Bonds(Declared):
         "Friction angle [degrees]; it raises the shear strength under compression and lowers it under tension",
         Within(0, 89),
     ] = 30.0
-    radius_multiplier: Annotated[float, "Bond radius over the smaller sphere's radius", Above()] = 1.0
+    radius_multiplier: Annotated[float, "Ratio of the bond radius to the radius of the smaller sphere", Above()] = 1.0
     moment_factor: Annotated[
         float,
         "Fraction of the bending and twisting moment that counts in the peak stresses (beta in Eq. 11)",
@@ -178,8 +181,8 @@ class Rest(Declared):
     breakdown: Annotated[float, "Slip over which the layer's gained yield stress falls to 1/e [m]", Above()] = 0.1
     coverage: Annotated[
         float,
-        "Area on which a layer acts (pi r^2 of every contact) over the area of the wall; the gained yield "
-        "stress of the layer is divided by this ratio",
+        "Area on which a layer acts (pi r^2 of every contact) divided by the area of the wall; the gained "
+        "yield stress of the layer is divided by this ratio",
         Above(),
     ] = 1.0
     wall: Annotated[str, "Name of the wall whose travel is the slip"] = "piston"
