@@ -192,8 +192,8 @@ def test_sigterm_in_a_python_script_interrupts_the_run_and_says_so(tmp_path, cap
     (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("interrupted"))
     time = run["simulated_time"]
     assert line == (
-        f"interrupted at t = {time:.3f} s; run() returns the results so far, which are saved in '{folder}'; the same "
-        "lines continue the run from its checkpoint at t = 0.000 s"
+        f"interrupted at t = {time:.3f} s; run() returns the results so far, which are saved in '{folder}'; run the "
+        "same lines again to go on from the checkpoint at t = 0.000 s"
     )
     again = Simulation(scenes.channel(**FLOW), **settings).run()
     uncut = json.loads((undisturbed_folder / "result.json").read_text(encoding="utf-8"))

@@ -46,7 +46,7 @@ MISTAKES = {
     "packing without reach": (
         "friction=0.0, pull=0.0)",
         "friction=0.0, pull=0.0, reach=0.0)",
-        r"Sticky\.frictionless\(\) = 'pushes two spheres apart .*must begin at 0\.0005",
+        r"Sticky\.frictionless\(\) = 'pushes two spheres apart .*must begin to push at 0\.0005",
     ),
     "pulls": ("shear - push *", "shear + push *", r"Sticky\.force\(\) = 'a pull of .*return the opposite sign"),
     "drives": ("spring - damping * speed", "spring + damping * speed", r"a push that falls with the closing speed"),
