@@ -8,11 +8,12 @@ it::
 """
 
 # Every file in this folder is a scene. The function `modules` finds it under the file's name, with hyphens instead of
-# underscores. The function `scene` builds the scene, and `check(run)` judges its runs. If both a flow and discrete
-# elements can simulate a test, there are two scenes, NAME and NAME-dem. The second one has a file of its own,
-# NAME_dem.py, or it is in the same file as `scene_dem`, `check_dem` and `trading_dem`. Scenes import `core`,
-# `geometry`, `theory`, `standards`, `dem` and `mps`, and never what runs or records them. Start with `slump`, a
-# complete scene in one file, or with `lcpc`, a test for both methods in one file.
+# underscores. Three names in the file define the scene: the function `scene` builds it, the function `check` judges its
+# runs, and `trading` holds the settings that trade its accuracy for run time. If both a flow and discrete elements can
+# simulate a test, there are two scenes, NAME and NAME-dem. The scene NAME-dem has a file of its own, NAME_dem.py.
+# Otherwise, the file of NAME defines both scenes, and the names for NAME-dem are `scene_dem`, `check_dem` and
+# `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and `mps`, and never what runs or
+# records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test for both methods in one file.
 
 import importlib
 import pkgutil
@@ -50,8 +51,8 @@ METHODS = ("mps", "dem", "suspension")
 """Names of the simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements, and
 "suspension" for flows of mortar with aggregates."""
 PIPE_AS_PART, BEND_AS_PART = {"unit": "vertical", "diameter": 0.15}, {"elbow_radius": 0.5}
-"""Defaults of the scene `pipe` that the scene `part` takes over if `pipe` is simulated as a suspension: those of all
-pipes, and those that have an effect in bends only."""
+"""If the scene `pipe` is simulated as a suspension, the scene `part` simulates it with these defaults of `pipe`.
+PIPE_AS_PART holds the defaults for all pipes, and BEND_AS_PART the defaults that have an effect in bends only."""
 
 
 def modules() -> dict[str, ModuleType]:

@@ -24,9 +24,9 @@ def scene(parameters: RingElements) -> Scene:
     """Model a cone of grains on a plate whose mould is lifted inside a ring of bars: spread, T500, blocking step.
 
     The scene equals `slump-dem` with additional bars, which stand on the plate and have no ring on top. Mould and bars
-    resist sliding equally (`mould_grip`). The blocking step is the height of the concrete in the middle minus that
-    around the ring. To see how strongly the bars hold concrete back, compare the spread with that of `slump-dem` with
-    the same seed.
+    resist sliding equally (`mould_grip`). The blocking step is the height of the concrete in the middle minus its
+    height around the ring. To see how strongly the bars hold concrete back, compare the spread with that of `slump-dem`
+    with the same seed.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -67,9 +67,9 @@ class BoxParameters(FreeConcrete, AggregateParameters):
 def scene(parameters: BoxParameters) -> FreeScene:
     """Model a column of concrete that flows into the L-box when the gate between column and box is lifted.
 
-    The results are the ratio H2/H1 of the depth at the box's far end to that at the gate, and the times T200 and T400
-    at which the front is 200 and 400 mm away from the gate. Raises :class:`warpcrete.SceneError` for parameters that
-    cannot be simulated.
+    The results are the ratio H2/H1 (depth at the box's far end divided by depth at the gate), and the times T200 and
+    T400 at which the front is 200 and 400 mm away from the gate. Raises :class:`warpcrete.SceneError` for parameters
+    that cannot be simulated.
     """
     given = parameters
     if given.length < given.column_width + 0.1:

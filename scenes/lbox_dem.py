@@ -37,8 +37,8 @@ class BoxElements(VesselParameters):
 def scene(parameters: BoxElements) -> Scene:
     """Model a column of grains that flows into the L-box when the gate between column and box is lifted.
 
-    There are three results. One is the ratio H2/H1 of the depth at the box's far end to that at the gate. The others
-    are the times T200 and T400 at which the front is 200 and 400 mm away from the gate.
+    There are three results. One is the ratio H2/H1, the depth at the box's far end divided by the depth at the gate.
+    The others are the times T200 and T400 at which the front is 200 and 400 mm away from the gate.
 
     The gate lies in front of the column's wall, at a distance of the smallest grain's radius, so that no grain touches
     both. `plate_grip` scales the floor's resistance to sliding, and `mould_grip` scales the resistance of all sides and

@@ -26,10 +26,10 @@ from .pipe import check as check_of_pipe
 def scene(parameters: PartElements) -> Scene:
     """Model aggregates that a piston pushes through a part of a pump line or a whole line, and compute the pressure.
 
-    The part begins at the origin. A straight pipe before it is filled with concrete at the start. The piston pushes
+    The part begins at the origin. At the start, concrete fills a straight pipe upstream of the part. The piston pushes
     this concrete into the part, so that the part stays full. Slices along the part measure stress, wall stress, solid
-    fraction and velocity (`stations.csv`). From the slices follow the pressure losses of the straight stretches, and of
-    the bend or taper between them.
+    fraction and velocity (`stations.csv`). The pressure losses of the straight stretches, and of the bend or taper
+    between them, are computed from these slices.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

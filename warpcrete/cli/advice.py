@@ -18,8 +18,8 @@ def chosen(
     """Return the parameters to change so that the run reaches the requested accuracy in the shortest time.
 
     The parameters come from an earlier measurement of the trade-off between speed and accuracy. The measurement is in
-    the folder `trade`, or it is one of those that come with the package. The function prints to stderr which settings
-    it chose, their expected error, and the conditions under which this error was not measured. Raises
+    the folder `trade`, or it is one of the measurements that come with the package. The function prints to stderr which
+    settings it chose, their expected error, and the conditions under which this error was not measured. Raises
     :class:`click.UsageError` if no measured trade-off is available or `accuracy` is not a percentage.
     """
     if accuracy is None:

@@ -158,7 +158,8 @@ def view_run(run: Path, web: bool, bind: str) -> None:
 @click.argument("scene", type=Completed("scene_names"), nargs=-1)
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 def warm_command(scene: tuple[str, ...], device: str | None) -> None:
-    """Compile the kernels of each SCENE, so that its first run starts at once; without a name, those of all scenes.
+    """Compile the kernels of each SCENE, so that its first run starts at once; without a name, the kernels of all
+    scenes.
 
     Use it when you install warpcrete, or when you build a container. Parameters of a scene, such as a contact law of
     your own, may follow its name: `warpcrete warm pipe --contact sticky:Sticky`. Runs with other features, such as

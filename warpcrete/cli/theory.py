@@ -46,7 +46,7 @@ def rise_option() -> ParameterOption:
 
 
 def _rise(stated: str, length: float) -> float:
-    """Return the rise per length of a pipe, from the text of `--rise`; `length` is that of the pipe [m]."""
+    """Return the rise per length of a pipe, from the text of `--rise`; `length` is the length of the pipe [m]."""
     field = declared_fields(Line)["rise"]
     if bare_number(stated) or is_amount(stated, "1"):
         value = field.converted(amount("rise", stated, "1"), "rise")
@@ -129,7 +129,7 @@ def _fitted(
     """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit.
 
     The points are flows [m3/s] and the pressures measured at these flows [Pa]. `factors` for age and temperature would
-    multiply the printed options in the next call, so these are divided by them.
+    multiply the printed options in the next call, so the printed options are divided by these factors.
     """
     fit = measured_layer(concrete, line, flows, pressures)
     found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)

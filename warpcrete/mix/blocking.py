@@ -50,7 +50,7 @@ FINE_SAND = (0.15, 0.30)
 """Lower and upper limit for the fraction of the sand's mass that is finer than 0.3 mm. With less fine sand the concrete
 segregates, with more it becomes sticky."""
 WATER_BINDER = 0.60
-"""Largest ratio of the mass of water to that of powder that the rule JGJ/T 10 allows."""
+"""Largest ratio of water to powder, by mass, that the rule JGJ/T 10 allows."""
 FINES_PER_WATER = 1.75
 """Smallest ratio of the mass of powder and fine sand to the mass of water. With less, water may bleed out under
 pressure."""
@@ -186,7 +186,7 @@ def powder(mix: MixEntries) -> RuleVerdict:
 
 
 def paste(mix: MixEntries) -> RuleVerdict:
-    """Compare the volume of the paste with that of the voids between sand and stones.
+    """Compare the volume of the paste with the volume of the voids between sand and stones.
 
     Paste that does not fill the voids cannot carry the sand and stones through a pipe.
     """

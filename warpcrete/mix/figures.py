@@ -8,17 +8,17 @@ from ..theory.fits import student_t
 INSTRUMENTS = 2.0
 """Largest accepted ratio between a value from a rheometer and a value from a slump cone for the same property.
 
-If their uncertainty bands do not overlap, the ratio is that of the two band ends that are nearest to each other. With a
-larger ratio, the values contradict each other. The factor is an assumption; even rheometers differ from one another
-(Ferraris & Martys 2003; RILEM TC 266-MRP 2023).
+If their uncertainty bands do not overlap, the ratio is taken between the two band ends that are nearest to each other.
+With a larger ratio, the values contradict each other. The factor is an assumption; even rheometers differ from one
+another (Ferraris & Martys 2003; RILEM TC 266-MRP 2023).
 """
 
 CONES = 3.0
 """Largest accepted ratio between two yield stresses that follow from the spread and from the slump of one cone.
 
-If their uncertainty bands do not overlap, the ratio is that of the two band ends that are nearest to each other. With a
-larger ratio, the two measurements contradict each other. In 80 pairs of measurements by Yeh (2007), the ratio reaches
-1.6.
+If their uncertainty bands do not overlap, the ratio is taken between the two band ends that are nearest to each other.
+With a larger ratio, the two measurements contradict each other. In 80 pairs of measurements by Yeh (2007), the ratio
+reaches 1.6.
 """
 
 

@@ -54,7 +54,7 @@ CEMENTS = ("cement", "clinker", "cem", "opc", "type", "binder")
 """Words in the names of ingredients that are cement."""
 GENERAL = ("type", "powder", "binder")
 """Words that tell only that an ingredient is powder. Another known word in its name, such as "limestone" in "limestone
-powder", says of which kind."""
+powder", says which kind of powder it is."""
 ROCKS = ("limestone", "marble", "quartz")
 """Words for rocks. An ingredient with such a word in its name is powder. However, it is aggregate if the name also says
 that the rock is crushed, or states a grain size or the number of a size."""
@@ -155,7 +155,8 @@ def sand_and_stone_volumes(parts: Mapping[str, float], coarse: float) -> tuple[f
     """Return the volumes of sand and of coarse aggregate in a cubic metre of concrete [m3].
 
     `coarse` is the stated or assumed density of the coarse aggregate [kg/m3]. Both volumes are 0 if the masses of sand
-    and stones are unknown, or the density of one of them. Recycled aggregate counts with the usual density.
+    and stones are unknown, or if the density of sand or of stones is unknown. Recycled aggregate counts with the usual
+    density.
     """
     sand, stone = 0.0, 0.0
     if sand_and_stone_masses(parts) == (0.0, 0.0):

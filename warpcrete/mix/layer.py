@@ -1,9 +1,9 @@
 """Slip layer of a mix: measured, or estimated from the composition, the viscosity or the slump of the concrete.
 
 Pumped concrete slips on a thin layer of paste and fine mortar at the wall. The wall stress is the layer's yield stress
-plus its viscosity times the slip velocity. This viscosity is that of the material divided by the thickness of the
-layer, in Pa s/m. The estimates hold for pipes of 100 to 150 mm. The uncertainty band of an estimate includes the error
-of the relation from which it follows.
+plus its viscosity times the slip velocity. This viscosity, in Pa s/m, is the viscosity of the layer's material divided
+by the layer's thickness. The estimates hold for pipes of 100 to 150 mm. The uncertainty band of an estimate includes
+the error of the relation from which it follows.
 """
 
 from collections.abc import Iterator
@@ -30,8 +30,8 @@ between predicted and measured friction is 1.33. The best fit, about 150 Pa s/m 
 many pairs of constants fit almost equally well.
 """
 PASTE_ERROR_FACTOR = 1.7
-"""Factor by which the true viscosity of a slip layer may be smaller or larger than that of :func:`paste_layer`. For 90
-% of the concretes to which that function was fitted, the difference is smaller."""
+"""Factor by which the true viscosity of a slip layer may be smaller or larger than the result of :func:`paste_layer`.
+For 90 % of the concretes to which this function was fitted, the difference is smaller."""
 PASTE_YIELD = (10.0, 0.0, 50.0)
 """Yield stress of a slip layer that is estimated from the paste, and the lower and upper limit of its band [Pa]."""
 THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
@@ -74,9 +74,9 @@ def paste_layer(solids: float) -> float:
 def film_layer(viscosity: float, aggregate: float) -> float:
     """Return the viscosity [Pa s/m] of a slip layer that consists of the concrete's paste, as between its aggregates.
 
-    `viscosity` is that of the concrete [Pa s], and `aggregate` the volume fraction of sand and stones. Aggregate
-    thickens the paste by the factor f = (1 - aggregate / 0.80)^(-2.5 0.80) (Krieger & Dougherty 1959). The result is
-    viscosity / (f 3 mm), for a layer 3 mm thick.
+    `viscosity` is the viscosity of the concrete [Pa s], and `aggregate` the volume fraction of sand and stones.
+    Aggregate thickens the paste by the factor f = (1 - aggregate / 0.80)^(-2.5 0.80) (Krieger & Dougherty 1959). The
+    result is viscosity / (f 3 mm), for a layer 3 mm thick.
     """
     return viscosity / (aggregate_factor(aggregate) * FILM)
 
@@ -170,8 +170,8 @@ def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
     """Return the factors from a measured constant of the slip layer to the lower and the upper end of its band.
 
     They follow from the stated relative `uncertainty`, or without it from the kind of the measurement: in a `pipe`, or
-    with a tribometer. The band of a measurement in a pipe extends by the same factor to both sides, as that of a fit to
-    a trial line.
+    with a tribometer. The band of a measurement in a pipe extends by the same factor to both sides, like the band of a
+    fit to a trial line.
     """
     if pipe:
         factor = 1 + (PIPE_UNCERTAINTY if uncertainty is None else uncertainty)

@@ -113,8 +113,8 @@ class Mix:
 
         A cause, such as the slip layer, comprises several properties of the concrete. The first concrete has these
         properties at the lower ends of their bands, and the second at the upper ends. All other properties have their
-        best values. A cause whose bands have no width is left out, and so are those of the bulk if the layer
-        was fitted to a trial line.
+        best values. A cause whose bands have no width is left out. The causes that concern the bulk are also left out
+        if the layer was fitted to a trial line.
         """
         found = {}
         for cause, keys in CAUSES.items():
@@ -130,10 +130,10 @@ class Mix:
     def layer_yields(self) -> tuple[float, float] | None:
         """Range of the slip layer's yield stress [Pa]; None if only a fit to an earlier trial line states it.
 
-        The range is that of a tribometer or a pipe, if one measured the layer at several speeds. Otherwise it contains
-        all estimates, because the band of the layer from the paste holds for self-compacting concrete, and the layer
-        of a stiffer concrete has a larger yield stress. Without an estimate from a slump, the range extends to the
-        yield stress of the concrete. It never exceeds the upper end of that yield stress.
+        If a tribometer or a pipe measured the layer at several speeds, the range follows from this measurement.
+        Otherwise it contains all estimates, because the band of the layer from the paste holds for self-compacting
+        concrete, and the layer of a stiffer concrete has a larger yield stress. Without an estimate from a slump, the
+        range extends to the yield stress of the concrete. It never exceeds the upper end of that yield stress.
         """
         own, concrete, measured = self["slip yield"], self["yield stress"].high, self.given.layer
         if measured.pipe or own.low == own.high:
@@ -233,7 +233,7 @@ class Mix:
 
 
 def read_mix(name: Path | str) -> Mix:
-    """Read the mix from a file, or that of a shipped concrete from its name.
+    """Read a mix from a file, or the mix of a shipped concrete by its name.
 
     Raises :class:`SceneError` if the mix contradicts itself or does not determine the concrete.
     """

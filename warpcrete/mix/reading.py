@@ -45,7 +45,7 @@ DENSITY_TOLERANCE = 0.03
 """Maximum relative difference between two values of the same density, such as a stated density and the sum of all
 ingredients. With a larger difference, the mix is refused."""
 SHARE_TOLERANCE = 0.25
-"""Relative difference between the stated share of coarse aggregate and that of the stones among the ingredients above
+"""Relative difference between the stated share of coarse aggregate and the share of stones among the ingredients, above
 which a warning is given. Coarse sand may count as aggregate, and the densities of rocks differ by some per cent."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
@@ -184,7 +184,7 @@ def _paste_share(given: Mapping[str, Any], masses: Mapping[str, float]) -> float
 
 
 def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the mass of water divided by that of powder, as stated or from the ingredients; None if unknown."""
+    """Return the ratio of water to powder by mass, as stated or from the ingredients; None if unknown."""
     powder, water = powder_mass(masses), water_mass(masses)
     return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
 
@@ -275,7 +275,7 @@ def _share(given: Any, heavy: float, unusual: str | None) -> float:
 
     An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. `unusual` is the name of stones whose
     density differs from it, or None. Raises :class:`SceneError` if the stones cannot fit into the volume, or if an
-    amount in kg/m3 is that of such stones.
+    amount in kg/m3 belongs to such stones.
     """
     if is_amount(given, "kg/m3") and unusual is not None:
         refuse(

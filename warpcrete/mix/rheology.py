@@ -131,7 +131,7 @@ def unknown_viscosity(given: MixEntries) -> Figure:
 
 
 def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
-    """Return density, viscosity and yield stress of the mortar, as stated or calculated from those of the concrete.
+    """Return density, viscosity and yield stress of the mortar, as stated or calculated from the concrete.
 
     The result is empty if the volume fraction of the coarse aggregate is unknown.
     """
@@ -189,7 +189,7 @@ def _factors(share: float) -> tuple[tuple[float, float], ...]:
 
 
 def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Figure:
-    """Return the viscosity or the yield stress of a concrete, calculated from that of its mortar.
+    """Return the viscosity or the yield stress of a concrete, calculated from the same property of its mortar.
 
     `own` is the measured property of the mortar. `place` is 0 for the viscosity and 1 for the yield stress.
     """
@@ -213,6 +213,6 @@ def _error(value: float, error: float, count: int) -> float:
     """Return the uncertainty of a constant that was fitted to points of a viscometer, in the unit of `value`.
 
     It is the half width of the 95 % interval of the line, from the standard `error`, but not less than the usual error
-    of a rheometer. Points that lie on a straight line by chance share this error.
+    of a rheometer. This error also affects points that happen to lie on a straight line.
     """
     return max(line_uncertainty(error, count, value, RHEOMETER), RHEOMETER * abs(value))

@@ -49,8 +49,8 @@ def draw(
     Error bars show the scatter between seeds. Quantities of the same unit share a panel. Each quantity has its own
     marker, and each set of values of the other varied parameters its own colour. Points of a numeric parameter are
     joined by lines. Values by theory are dashed grey lines. Marks at the bottom show values of the parameter at which a
-    case or a check failed, and rings means to which only some of the runs contribute. `quantity`, `x`, `unit` and
-    `y_unit` are those of :meth:`warpcrete.studies.study_result.Study.plot`.
+    case or a check failed. Rings mark those means to which only some of the runs contribute.
+    :meth:`warpcrete.studies.study_result.Study.plot` explains `quantity`, `x`, `unit` and `y_unit`.
     """
     names = study.varied or ["seed"]
     if x is not None:
@@ -105,7 +105,7 @@ def _measured(study: Any) -> dict[str, Quantity]:
 
 
 def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str]) -> tuple[float, str]:
-    """Return the factor from the SI `unit` of a quantity to the unit in the figure, and the name of the latter.
+    """Return the factor from the SI `unit` of a quantity to the figure's unit, and this unit's name.
 
     `wanted` is the unit in the figure that the caller states in the argument named `called`. If it is None, the result
     is `usual`.
@@ -224,7 +224,8 @@ def _panel(
         axes.margins(x=0.2)
     simulated = [each.title for each in drawn if each.name not in theories] or [each.title for each in drawn]
     if len(simulated) == 1:
-        # A title such as "end" needs the rest of its name where no other title explains it.
+        # A title alone, such as "end", may not be clear if no other quantity is drawn. Use the whole name of the
+        # quantity.
         simulated = [next(each for each in drawn if each.title == simulated[0]).name.replace("_", " ")]
     titles = textwrap.fill(" and ".join(simulated), LABEL_WIDTH)
     x_title = f"{name} [{x_scale[1]}]" if x_scale[1] else name
@@ -246,7 +247,7 @@ class _TheoryCurves:
     def __init__(self, study: Any) -> None:
         self.study, self.module = study, modules().get(study.scene)
         self._known: dict[tuple[Any, ...], list[tuple[float, Mapping[str, float]]]] = {}
-        """Values of a varied parameter, each with all quantities by theory, by case, name of the parameter and values.
+        """For each case and varied parameter: values of this parameter, and for each value all quantities by theory.
 
         A closed form returns all quantities of a scene at once. The quantities in a figure therefore share the scenes.
         """

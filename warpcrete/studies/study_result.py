@@ -25,7 +25,7 @@ from .drawing import draw
 from .study_table import columns_of, write_parquet
 
 COUNTS = ("runs", "failed", "suspect")
-"""Columns that count runs: finished ones, ones that ended with an error, and finished ones with a failed check."""
+"""Columns that count runs: finished runs, runs that ended with an error, and finished runs with a failed check."""
 
 
 @dataclass(repr=False)
@@ -98,7 +98,7 @@ class Study:
     def unit(self, parameter: str) -> tuple[float, str]:
         """Return the factor by which a value of a parameter is multiplied for display, and the unit of display.
 
-        The unit is that in which the user stated the parameter. Values without a unit are displayed in SI units.
+        The unit is the one in which the user stated the parameter. Values without a unit are displayed in SI units.
         """
         unit, written = self.units.get(parameter, ""), self.written.get(parameter, "")
         return (1 / UNITS[unit][written], written) if written in UNITS.get(unit, ()) else (1.0, unit)
@@ -106,8 +106,8 @@ class Study:
     def worded(self, parameter: str, value: Any, factor: float | None = None) -> str:
         """Return the value of a parameter as text, with numbers in the unit of display and without the unit.
 
-        `factor` converts a number to the unit of display; by default it is that of :meth:`unit`. The file of a concrete
-        is named without its folder and suffix.
+        `factor` converts a number to the unit of display; by default it is the factor that :meth:`unit` returns. The
+        file of a concrete is named without its folder and suffix.
         """
         if isinstance(value, float):
             return rounded(value * (self.unit(parameter)[0] if factor is None else factor))
@@ -189,8 +189,8 @@ class Study:
 
         `quantity` selects one number in the results of the runs, such as "pressure", which is drawn together with its
         theory. `x` selects the varied parameter on the horizontal axis. `unit` is the unit of this parameter, such as
-        "m3/h", and `y_unit` that of the quantity. Raises :class:`SceneError` for names and units that the study does
-        not have.
+        "m3/h", and `y_unit` is the unit of the quantity. Raises :class:`SceneError` for names and units that the study
+        does not have.
         """
         return draw(self, quantity, x, unit, y_unit)
 

@@ -27,7 +27,7 @@ Here rho is the density, g gravity, and T500 the time until the spread reaches 5
 slump` with 300 Pa s, 2300 kg/m3, yield stresses of 80, 65, 50, 35, 20, 10 and 2 Pa, cells of 10 mm, and a mould lifted
 in 1 s. For comparison, the factor of a viscous heap without yield stress is 14.8e-4 m (Huppert 1982, about an axis:
 radius 0.894 (rho g V^3 t / (3 mu))^(1/8)). At 30 Pa s inertia and the lift matter: with a yield stress of 50 Pa the
-factor is 8.7e-4 m for a lift in 1 s and 5.9e-4 m in 3 s.
+factor is 8.7e-4 m for a lift in 1 s, and 5.9e-4 m for a lift in 3 s.
 """
 
 

@@ -80,9 +80,9 @@ class FlowLaw:
     def integrals(self, stress: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the integrals J_0, J_1 and J_2 up to a `stress`.
 
-        The integral J_j is that of g h^j dh [Pa^(j + 1) / s]. Here h is the viscous stress, which is the stress minus
-        the yield stress, and g is the shear rate at this stress. J_0 is therefore also the integral of the rate over
-        the stress.
+        J_j is the integral of g h^j dh [Pa^(j + 1) / s]. Here h is the viscous stress, which is the stress minus the
+        yield stress, and g is the shear rate at this stress. J_0 is therefore also the integral of the rate over the
+        stress.
         """
         h = np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0)
         g = self._rate_of_excess(h)

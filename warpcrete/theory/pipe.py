@@ -14,7 +14,7 @@ of forces:
 
 The bulk is a Bingham fluid by default. In the slip layer, the shear stress is tau = tau_L0 + eta_L V_L (Eq. 8), with
 the layer's yield stress tau_L0, its viscosity eta_L and the slip velocity V_L. Both may follow one of the other laws of
-:mod:`.laws` instead. The bulk fills the radius of the pipe less the thickness of the layer.
+:mod:`.laws` instead. The radius of the bulk is the radius of the pipe minus the thickness of the layer.
 """
 
 import functools
@@ -223,7 +223,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
 def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
     """Narrow an interval around the root of an increasing function to a few floating-point numbers.
 
-    The function is negative at `low` and not negative at `high`, and so it is at the ends that are returned. The
+    The function is negative at `low` and not negative at `high`. The same holds at the two ends that are returned. The
     Illinois method approaches the root from one side only, so one end of the interval may stay far away. The function
     is therefore also evaluated closely below and above the estimate of the root, and both ends are moved there.
     """
@@ -330,7 +330,7 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     if (law := concrete.bulk_law).name != BINGHAM:
-        # Let the edge be the place where the slip layer begins. The velocity relative to that at the edge is the
+        # Let the edge be the place where the slip layer begins. The velocity minus the velocity at the edge is the
         # integral of the shear rate over the radius. The stress is proportional to the radius, so this is the integral
         # over the stress, divided by the gradient of the stress.
         at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
@@ -382,12 +382,12 @@ def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], press
 
     The slope of the line is eta_L [Pa s/m], and its offset is tau_L0 [Pa]. The part of each flow that is due to shear
     of the bulk is calculated and subtracted. The rest gives the slip velocity V (Xu, Li & Jiang 2021, Eq. 12), and the
-    pressure gives the wall stress. If the layer has a flow index n, the line is that of the stress over V^n. If it has
-    a coefficient c, the line is that of the stress minus c V^2 over V. `concrete` supplies n, c and the constants of
-    the bulk, and `line` the dimensions of the pipe and the thickness of the layer. Applied to the constants of a layer
-    of zero thickness, the function reproduces Table 3 of the paper. Raises :class:`SceneError` for fewer than two
-    different flows, or if the points imply an impossible layer: a viscosity that is not positive or a negative yield
-    stress.
+    pressure gives the wall stress. If the layer has a flow index n, the line is fitted to the stress as a function of
+    V^n. If the layer has a coefficient c, the line is fitted to the stress minus c V^2, as a function of V. `concrete`
+    supplies n, c and the constants of the bulk, and `line` the dimensions of the pipe and the thickness of the layer.
+    Applied to the constants of a layer of zero thickness, the function reproduces Table 3 of the paper. Raises
+    :class:`SceneError` for fewer than two different flows, or if the points imply an impossible layer: a viscosity that
+    is not positive or a negative yield stress.
     """
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:

@@ -10,8 +10,8 @@ from .pipe import FORMS, Concrete, Line, Steady, after_rest, flow_of_pressure, k
 def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
     """Return a text table of the restart pressures after `rest` [s], one row for each form of the theory.
 
-    Each row contains the smallest pressure at which concrete moves, the peak pressure at `flow` [m3/s], and the latter
-    divided by the steady pressure at that flow.
+    Each row contains the smallest pressure at which concrete moves, the peak pressure at `flow` [m3/s], and the peak
+    pressure divided by the steady pressure at this flow.
     """
     grown = after_rest(concrete, rest, thixotropy)
     lines = [

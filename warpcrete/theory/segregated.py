@@ -33,8 +33,9 @@ class Segregated:
     index: float
     """Segregation index of the aggregate.
 
-    It is the aggregate fraction in the outer half of the radius, minus that in the inner half, divided by the aggregate
-    fraction of the whole concrete. Simulation runs report this index as `segregation`.
+    It is the aggregate fraction in the outer half of the radius minus the aggregate fraction in the inner half; the
+    difference is divided by the aggregate fraction of the whole concrete. Simulation runs report this index as
+    `segregation`.
     """
 
     def __post_init__(self) -> None:
@@ -86,8 +87,8 @@ class Segregated:
             begin = max(low, line.radius * zone.yield_stress / stress) if stress > 0 else high
             if begin < high:
                 # The flow by shear is the integral of pi r^2 times the shear rate over the radius r. The shear rate is
-                # (stress r / R - yield stress) / viscosity. Here the stress is that at the wall, and R is the radius of
-                # the pipe.
+                # (stress r / R - yield stress) / viscosity. Here `stress` is the shear stress at the wall, and R is the
+                # radius of the pipe.
                 if (law := zone.bulk_law).name == BINGHAM:
                     rise = stress / line.radius * (high**4 - begin**4) / 4
                     rise -= zone.yield_stress * (high**3 - begin**3) / 3

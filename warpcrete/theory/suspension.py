@@ -39,9 +39,9 @@ def power_thickening(factor: float, fraction: float, index: float) -> float:
 def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: str = "spheres") -> Concrete:
     """Return the mortar that becomes `concrete` when a volume `fraction` of coarse aggregate is added.
 
-    The relation is :func:`thickening` with the constants of `inclusions` in :data:`SUSPENSIONS`; `density` is that of
-    the aggregate [kg/m3]. The relation is an assumption: Xu, Li & Jiang 2021 measured their mortars but do not print
-    the values.
+    The relation is :func:`thickening` with the constants of `inclusions` in :data:`SUSPENSIONS`; `density` is the
+    density of the aggregate [kg/m3]. The relation is an assumption: Xu, Li & Jiang 2021 measured their mortars but do
+    not print the values.
     """
     one_of("inclusions", inclusions, SUSPENSIONS)
     viscosity, yield_stress = thickening(fraction, *SUSPENSIONS[inclusions])
@@ -58,7 +58,8 @@ def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: s
 def concrete_of_mortar(mortar: Concrete, fraction: float, density: float, inclusions: str = "spheres") -> Concrete:
     """Return the concrete that results when a volume `fraction` of coarse aggregate is added to `mortar`.
 
-    This is the inverse of :func:`mortar_of`, with the same assumptions. The slip layer remains that of the mortar.
+    This is the inverse of :func:`mortar_of`, with the same assumptions. The concrete keeps the slip layer of the
+    mortar.
     """
     one_of("inclusions", inclusions, SUSPENSIONS)
     viscosity, yield_stress = thickening(fraction, *SUSPENSIONS[inclusions])

@@ -24,8 +24,8 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 """Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
 """Numbers that determine the accuracy of numerical solutions. SLICES is the number of slices of a box along its length,
-and SLICES_FUNNEL that of a funnel along its height. For each height of the concrete in the funnel, the outlet speed is
-interpolated between SPEEDS values."""
+and SLICES_FUNNEL the number of slices of a funnel along its height. For each height of the concrete in the funnel, the
+outlet speed is interpolated between SPEEDS values."""
 
 
 def cone_volume(top: float, base: float, height: float) -> float:
@@ -89,8 +89,8 @@ def heap_at_rest(
 def heap_volume(reach: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial") -> float:
     """Return the volume of a heap at rest whose radius or half-width is `reach` [m].
 
-    About an axis the result is the volume of the whole heap [m3]. In a plane it is that of one half per metre of depth
-    [m2].
+    About an axis the result is the volume of the whole heap [m3]. In a plane it is the volume of one half per metre of
+    depth [m2].
     """
     place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
     depth = heap_depth(reach - place, yield_stress, density, gravity, form)
@@ -183,8 +183,8 @@ def box_yield_stress(reach: float, volume: float, width: float, density: float, 
         reach_a, volume_a = box_slope(near, width)
         return volume_a / reach_a - mean
 
-    # The mean depth is between a half and two thirds of the depth at the near end, so search the latter between 1.5 and
-    # 2 times the mean depth.
+    # The mean depth is between a half and two thirds of the depth at the near end. The depth at the near end is
+    # therefore between 1.5 and 2 times the mean depth.
     near = root(too_deep, 1.5 * mean, 2 * mean)
     return 0.5 * density * gravity * width * box_slope(near, width)[0] / reach
 
@@ -201,7 +201,8 @@ def duct_constants(aspect: float) -> tuple[float, float]:
     """Return the constants a and b of a rectangular duct in the formula of Kozicki, Chou & Tiu (1966).
 
     They depend on the shape only; :func:`duct_stress` states the formula. `aspect` is the short side divided by the
-    long side, 0 to 1. Values between the tabulated ratios are interpolated. A slot has a = 1/2 and b = 1.
+    long side, 0 to 1. Values between the tabulated ratios are interpolated. A slot, the gap between two parallel
+    plates, has a = 1/2 and b = 1.
     """
     ratio = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
     a, b = (0.5, 0.4132, 0.3212, 0.2440, 0.2178, 0.2121), (1.0, 0.9085, 0.8182, 0.7278, 0.6831, 0.6771)
@@ -218,11 +219,11 @@ def duct_stress(
     describes a slip layer at the walls, whose slip velocity is added: its viscosity divided by its thickness [Pa s/m],
     its yield stress [Pa], and, for laws other than Bingham's, its flow index and its quadratic coefficient.
 
-    The formula of Kozicki, Chou & Tiu is exact in slots and pipes. Let v be the mean speed, R the hydraulic radius, tau
-    the wall stress, g(s) the shear rate at a stress s, and a and b two constants of the cross-section. The formula
-    states that 2 v / R is tau^(-b/a) / a times the integral of s^(b/a - 1) g(s) ds up to tau. For Bingham's law with
-    the yield stress tau0 and the plastic viscosity mu, this is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a +
-    b))), with q = tau0 / tau.
+    The formula of Kozicki, Chou & Tiu is exact for round pipes and for the gap between two parallel plates. Let v be
+    the mean speed, R the hydraulic radius, tau the wall stress, g(s) the shear rate at a stress s, and a and b two
+    constants of the cross-section. The formula states that 2 v / R is tau^(-b/a) / a times the integral of s^(b/a - 1)
+    g(s) ds up to tau. For Bingham's law with the yield stress tau0 and the plastic viscosity mu, this is tau / mu (1 /
+    (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau.
     """
     law = FlowLaw(yield_stress, viscosity, flow_index, quadratic_viscosity)
     radius = wide * deep / (2 * (wide + deep))

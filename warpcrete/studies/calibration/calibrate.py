@@ -193,8 +193,8 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
         each = rounds[place]
         trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"])
                   for k, units in enumerate(each["units"])]  # fmt: skip
-        # Compute the progress of the whole calibration. The total is the number of permitted trials plus that of the
-        # verification runs. If the search needs fewer trials, the last verification runs count as all of the rest.
+        # Compute the progress of the whole calibration. The total is the number of permitted trials plus the number of
+        # verification runs. If the search needs fewer trials, the verification runs count as the whole remaining work.
         whole = most + settings["repeat"]
         begun = len(calibration.searched) / whole
         last = each["proof"] and place == len(rounds) - 1
@@ -237,7 +237,8 @@ def run_round(
 def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
     """Return a progress callback for the parameter study of one scene in a round of a calibration.
 
-    The callback converts the progress of this study into that of the whole calibration, and reports it to `tell`.
+    The callback converts the progress of this study into the progress of the whole calibration, and reports it to
+    `tell`.
     """
     groups = len(task.groups)
 

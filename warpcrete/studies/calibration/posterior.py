@@ -122,7 +122,7 @@ class Posterior:
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
     def relative_width(self, place: int) -> float:
-        """Return a parameter's posterior standard deviation, divided by that of a uniform distribution on its range."""
+        """Return a parameter's standard deviation in the posterior, divided by the one of its uniform prior."""
         return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
@@ -196,9 +196,9 @@ def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:
 def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
     """Return the logarithm of the probability that runs at these points succeed, estimated from previous runs nearby.
 
-    `at` are the points, shape (m, free), and `points` those of previous runs, shape (n, free). Their coordinates are
-    the free parameters, each scaled to 0 to 1 over its range. `sound` is True for the previous runs that succeeded,
-    shape (n,).
+    `at` are these points, shape (m, free), and `points` are the points of previous runs, shape (n, free). Their
+    coordinates are the free parameters, each scaled to 0 to 1 over its range. `sound` is True for the previous runs
+    that succeeded, shape (n,).
     """
     if sound.all():
         return np.zeros(len(at))

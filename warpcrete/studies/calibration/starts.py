@@ -1,4 +1,4 @@
-"""Initial parameters of a calibration: those whose closed-form predictions are closest to the targets."""
+"""Initial parameters of a calibration, whose closed-form predictions are closest to the targets."""
 
 import math
 from collections.abc import Mapping, Sequence

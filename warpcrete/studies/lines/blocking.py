@@ -44,8 +44,8 @@ friction of 0.05 of Zhan et al. (2019), stones of half the width of the bore sti
 """
 MODULUS = 2e6
 """Smallest elastic modulus of the stones in simulations of blocking [Pa]; stones that the user made softer get this
-modulus. Softer stones squeeze through bores that would block. The value is that of earlier simulations of funnels,
-which checked the friction between stones."""
+modulus. Softer stones squeeze through bores that would block. Earlier simulations of funnels, which checked the
+friction between stones, used this modulus."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 

@@ -68,8 +68,9 @@ class Elements:
     shapes: str = "spheres"
     """Shapes of the discrete elements, in the words of the parameter `shapes` of the scene part-dem."""
     coarse: float | None = None
-    """Factor by which all stone sizes are multiplied. With None, stones are enlarged until the largest one is 0.3 times
-    as wide as the narrowest bore; stones that are larger than that keep their size."""
+    """Factor by which all stone sizes are multiplied. With None, all stones are enlarged until the largest one is 0.3
+    times as wide as the narrowest bore. If the largest stone is wider than this already, the stones keep their sizes.
+    """
     seeds: int = 1
     """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
     results gives the range of the pressure."""

@@ -26,9 +26,9 @@ from .taps import SAME_FLOW, Tap, at_one_flow, is_free
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
 REVERSED = 1.1
-"""Largest accepted ratio of two frictions at the same flow: that between a gauge and the end of the line, divided by
-that between a gauge nearer to the pump and the end. The true ratio is below 1; the tolerance is for errors of gauges
-that are close to each other."""
+"""Largest accepted ratio of two frictions at the same flow. One is the friction from a gauge to the end of the line. It
+is divided by the friction from another gauge, nearer to the pump, to the end of the line. The true ratio is below 1;
+the tolerance is for errors of gauges that are close to each other."""
 DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
@@ -71,11 +71,12 @@ def fit_line(
     All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
     It also supplies the fitted constants that the pressures do not determine:
 
-    - The yield stress of the layer, if all pressures were measured at a single flow, or if there are only two. Such
-      pressures do not distinguish it from the layer's viscosity. It is also kept if its error would exceed half the
-      range of :func:`.known_yields`, because the flows hardly differ or the pressures scatter.
-    - The factor of bends, if its band is as wide as that of published measurements, or if the points are too few. It is
-      then left out of the fit, and each bend keeps its factor from the table of simulated bends.
+    - The yield stress of the layer, if all pressures were measured at a single flow, or if there are only two
+      pressures. Such pressures do not distinguish the yield stress from the layer's viscosity. The yield stress is also
+      kept if its error would exceed half the range of :func:`.known_yields`, because the flows hardly differ or the
+      pressures scatter.
+    - The factor of bends, if its band is as wide as the band of published measurements, or if the points are too few.
+      The factor is then left out of the fit, and each bend keeps its factor from the table of simulated bends.
 
     `prior` holds two concretes, whose slip layers are at the lower and at the upper end of the uncertainty band from
     before the measurement. :func:`.with_known` combines this earlier knowledge with the fit. If no slip layer explains
@@ -116,7 +117,7 @@ def fit_line(
 
 
 def _is_better_than_published(factor: FittedConstant) -> bool:
-    """Return whether a factor of bends was fitted with a narrower band than that of published measurements."""
+    """Return whether the band of a fitted factor of bends is narrower than the band of published measurements."""
     published = MODEL_ERRORS["bend"]
     return factor.fitted and factor.high - factor.low < published.high - published.low
 
@@ -218,7 +219,8 @@ def _squares(off: np.ndarray, slopes: np.ndarray, taps: Sequence[Tap], gauge: fl
 
     The error `gauge` [Pa] is common to all pressures at one place. A further error of each reading is independent. It
     follows from the scatter of the pressures about a fit in which each gauge has an error of its own, so that the
-    common errors do not count twice. The assumed scatter of readings counts as :data:`ASSUMED_READINGS` further ones.
+    common errors do not count twice. The assumed scatter of readings counts as :data:`ASSUMED_READINGS` further
+    readings.
     """
     places = np.array([tap.place for tap in taps])
     same = (places[:, None] == places).astype(float)
@@ -231,7 +233,7 @@ def _squares(off: np.ndarray, slopes: np.ndarray, taps: Sequence[Tap], gauge: fl
 
 
 def _covariance(slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Return the covariance matrix of fitted constants, from that of the pressures and from the sensitivities."""
+    """Return the covariance matrix of fitted constants, from the sensitivities and the covariances of the pressures."""
     inverse = np.linalg.pinv(slopes)
     return inverse @ squares @ inverse.T
 

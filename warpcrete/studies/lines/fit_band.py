@@ -69,7 +69,7 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
 
 
 def of_layer(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
-    """Return a fit whose `uncertainty`, that of the slip layer, follows from the uncertainty of the friction.
+    """Return a fit whose uncertainty of the slip layer follows from the uncertainty of the friction.
 
     The friction of straight pipe grows with the layer's resistance to the power e, the elasticity. If the layer is
     stiff, the concrete is sheared as well, and e is below 1. The same uncertainty of the friction then means a larger
@@ -82,7 +82,7 @@ def of_layer(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 
 
 def elasticity(friction: Callable[[float, float], float], viscosity: float, stress: float) -> float:
-    """Return the relative change of a friction over that of the slip layer's resistance.
+    """Return the relative change of a friction, divided by the relative change of the slip layer's resistance.
 
     The arguments of `friction` are the viscosity [Pa s/m] and the yield stress [Pa] of a slip layer. Both change by the
     same factor, from the values `viscosity` and `stress`.
@@ -92,7 +92,7 @@ def elasticity(friction: Callable[[float, float], float], viscosity: float, stre
 
 
 def layer_deviation(friction: float, power: float) -> float:
-    """Return the logarithm of a factor on the slip layer that changes a friction by the logarithm `friction`.
+    """Return the logarithm of the factor on a slip layer that multiplies a friction by exp(`friction`).
 
     `power` is the elasticity of the friction. If the friction hardly depends on the layer, it gives the layer no useful
     limit, and the factor is the largest of `UNCERTAINTIES`.
@@ -178,7 +178,8 @@ def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[floa
 def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradiction | None:
     """Return the two stretches of a trial line at one flow whose measured frictions disagree most.
 
-    The friction of a stretch is compared with that of the fit. Returns None if no flow was measured at two places.
+    The measured friction of each stretch is compared with the friction by the fit. Returns None if no flow was measured
+    at two places.
     """
     weights = concrete.density * GRAVITY * np.array(TapModel(line, concrete, fit.taps).rises)
     by_flow: dict[float, dict[float, tuple[float, float]]] = {}

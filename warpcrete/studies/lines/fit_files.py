@@ -40,7 +40,7 @@ def fitted_concrete(
     else:
         entries = _plain(section.values) | _points(section, mix.given)
     found["mix"] = entries | {"layer": layer}
-    # The constants of flow of a concrete without a mix are in the section `mix` now.
+    # If the concrete had no mix, the new section `mix` contains its flow constants, so the section `flow` is empty.
     flow = {} if section is None else _plain(section.flow)
     others = {
         "elements": {} if source is None else _plain(source.elements if section is None else section.elements),

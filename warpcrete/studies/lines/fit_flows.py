@@ -21,7 +21,7 @@ from .tap_model import TapModel
 
 SHIPPED_YIELDS = (0.0, 251.0)
 """Range of the yield stress of a slip layer [Pa] if no mix states one. The upper end is the largest value of the
-concretes of this package, that of no1."""
+concretes of this package, which no1 has."""
 THINNEST = 100.0
 """Smallest viscosity of a slip layer [Pa s/m] with which a larger yield stress is combined. Measured layers have 100 to
 10000 Pa s/m."""
@@ -37,8 +37,8 @@ BISECTIONS = 60
 def known_yields(concrete: Concrete, yields: tuple[float, float] | None = None) -> tuple[float, float]:
     """Return the range of the yield stress of a slip layer before a measurement [Pa].
 
-    `yields` is the range that the mix states [Pa], by default that of the concretes of this package. The upper end is
-    at most the yield stress of the concrete, because the layer is concrete without stones.
+    `yields` is the range that the mix states [Pa], by default the range for the concretes of this package. The upper
+    end is at most the yield stress of the concrete, because the layer is concrete without stones.
     """
     low, high = SHIPPED_YIELDS if yields is None else yields
     high = min(high, concrete.yield_stress)
@@ -56,7 +56,8 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
     The layers at the ends of the band of the friction (`layer_ends`) have the yield stress that goes with this friction
     according to the errors of the fit.
 
-    If the pressures do not determine the yield stress, the band of the fitted viscosity contains that of these layers.
+    If the pressures do not determine the yield stress, the band of the fitted viscosity contains the viscosities of
+    these layers.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
@@ -89,7 +90,7 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
 
 
 def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
-    """Return a fit with the uncertainty of its layer in another line, which is larger than that in the trial line.
+    """Return a fit with the uncertainty of its layer in another line, which is larger than in the trial line.
 
     The uncertainty contains the friction of both pairs of layers of :func:`with_yields` at the flows `OTHER_FLOWS`. It
     also contains the error that the fittings of the trial line cause in the fitted layer, because another line has
@@ -101,7 +102,8 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
     wide = alone
     for ratio in OTHER_FLOWS:
         there = _friction_behind_gauges(fit, line, concrete, ratio)
-        # The later uncertainty is one of the layer, so express the deviations of the friction as those of the layer.
+        # The later uncertainty describes the layer, so convert the deviations of the friction to deviations of the
+        # layer.
         power = elasticity(there, eta, tau)
         offs = [layer_deviation(max(abs(math.log(there(*end) / there(eta, tau))) for end in pair), power)
                 for pair in (fit.layer_ends, fit.yield_layers)]  # fmt: skip
@@ -114,7 +116,7 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 def _wider(constant: FittedConstant, *values: float) -> FittedConstant:
     """Return a fitted constant whose band also contains the effect of a further, independent cause of error.
 
-    `values` are those of the constant at both ends of the band of this cause. The deviations are added in squares.
+    `values` are the values of the constant at both ends of the band of this cause. The deviations are added in squares.
     """
     own = constant.value
     below, above = (max(0.0, *(sign * (each - own) for each in values)) for sign in (-1, 1))

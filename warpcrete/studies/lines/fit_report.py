@@ -18,7 +18,7 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
     """Return a report on the fit as lines of Markdown.
 
     The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
-    the files of the concrete and of the line, and a table of all measured pressures. `factors` are those on yield
+    the files of the concrete and of the line, and a table of all measured pressures. `factors` are the factors on yield
     stresses and on viscosities in the file of the concrete, and `mix` is False for a concrete without a mix.
     """
     bends = fit.constants[2:]
@@ -127,7 +127,7 @@ def _open_yield(fit: LineFit, customary: bool) -> str:
 
 
 def _surprise(ratio: float) -> str:
-    """Return a remark for the user that the gauges need another friction than was expected, outside its band.
+    """Return a remark for the user that the fitted friction lies outside the band of the expected friction.
 
     `ratio` is the fitted friction of straight pipe, divided by the expected one.
     """

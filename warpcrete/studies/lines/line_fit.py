@@ -15,8 +15,8 @@ from .losses import with_layer_factor
 from .taps import Tap, is_free
 
 OPEN_YIELD, FITTED_YIELD = "unknown yield stress of the slip layer", "yield stress of the slip layer"
-"""Causes of uncertainty of a line's pressure at other flows than those of the gauges, as they are named in reports: a
-yield stress that the measured pressures do not determine, and the error of one that they determine."""
+"""Names in reports of two causes of uncertainty at flows other than the measured ones. OPEN_YIELD is a yield stress
+that the measured pressures do not determine. FITTED_YIELD is the error of a yield stress that they determine."""
 NO_YIELD = "fitted without it, because the points would give a negative one"
 """Reason why the yield stress of the slip layer was left out of a fit, so that it is zero."""
 
@@ -48,7 +48,7 @@ class FittedConstant:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Part of a trial line between two gauges, or behind the last one, and its friction per metre at one flow."""
+    """Stretch of a trial line between two gauges, or from the last gauge to the line's end, and its friction."""
 
     begin: float
     """Distance of the first gauge from the pump [m]."""
@@ -65,9 +65,9 @@ class Contradiction:
     """Gauges that no slip layer explains: the two stretches of the line whose readings contradict each other most."""
 
     low: Stretch
-    """Stretch with the smallest measured friction relative to that of the fit."""
+    """Stretch with the smallest ratio of measured friction to friction by the fit."""
     high: Stretch
-    """Stretch with the largest measured friction relative to that of the fit."""
+    """Stretch with the largest ratio of measured friction to friction by the fit."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,7 @@ class LineFit:
 
     @property
     def bend_factor(self) -> float | None:
-        """Fitted friction of bends divided by that of straight pipe; None if the measured pressures do not determine
-        it."""
+        """Fitted friction of bends relative to straight pipe; None if the measured pressures do not determine it."""
         bends = self.constants[2] if len(self.constants) > 2 else None
         return bends.value if bends is not None and bends.fitted else None
 
@@ -149,8 +148,8 @@ class LineFit:
     def layer_entry(self, factors: tuple[float, float] = (1.0, 1.0)) -> dict[str, Any]:
         """Return the fitted slip layer as the entry `layer` in the section `mix` of a concrete's file.
 
-        `factors` are those on yield stresses and on viscosities in this file. They multiply the entries when the file
-        is read, so the entries are divided by them here.
+        `factors` are the factors on yield stresses and on viscosities in this file. They multiply the entries when the
+        file is read, so the entries are divided by them here.
         """
         yields, viscous = factors
         found: dict[str, Any] = {

@@ -24,7 +24,7 @@ def pipeline_pressure(vertical: float, horizontal: float, height: float, distanc
 def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
     """Refuse a scene or a second result to which Eq. 13 of Zhan et al. (2019) cannot be applied.
 
-    Eq. 13 combines the results of a vertical and of a horizontal pipe. `scene` is that of one of the two pipes, and
+    Eq. 13 combines the results of a vertical and of a horizontal pipe. `scene` is the scene of one of these pipes, and
     `other` the result of a run with the other pipe. `source` is the place from which `other` was read, for error
     messages. Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
     """

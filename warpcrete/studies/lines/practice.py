@@ -70,8 +70,9 @@ def _level(part: Part) -> float:
 def _hose(length: float, lengths: tuple[float, float]) -> float:
     """Return the number of hoses of a rule of practice that have the same loss as one hose with the given `length` [m].
 
-    A hose counts as one if its length is between the two `lengths` of the rule [m]. The loss of a shorter hose is that
-    of the shortest hose of the rule, in proportion to its length, and the loss of a longer one that of the longest.
+    A hose counts as one if its length is between the two `lengths` of the rule [m]. A shorter hose has the same loss
+    per metre as the shortest hose of the rule, and a longer hose the same loss per metre as the longest hose of the
+    rule.
     """
     shortest, longest = lengths
     return max(min(1.0, length / shortest), length / longest)
@@ -165,8 +166,8 @@ def practice_rows(
 def _as_straight(kinds: Collection[str], others: Sequence[str]) -> str:
     """Return words on the kinds of parts in a line that a rule does not cover, which count as straight pipe.
 
-    `kinds` are those of the parts whose friction the line's file does not state, and `others` those that the rule does
-    not cover.
+    `kinds` are the kinds of the parts whose friction the line's file does not state, and `others` are the kinds that
+    the rule does not cover.
     """
     found = [GROUPS[kind] for kind in others if kind in kinds]
     return f"; {' and '.join(found)} count as straight pipe, because the rule does not cover them" if found else ""

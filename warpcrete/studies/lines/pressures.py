@@ -118,9 +118,9 @@ class LinePressures:
         uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
         friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
         calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
-        changed together. The friction of a simulated part was found with one concrete only. For changed constants, it
-        is multiplied by a ratio: the closed form's friction with the changed constants over that with the original
-        ones.
+        changed together. The friction of a simulated part was found with one concrete only. For changed constants, this
+        friction is multiplied by the closed form's friction with the changed constants, and divided by the closed
+        form's friction with the original constants.
         """
         return self._bands
 
@@ -191,9 +191,9 @@ class LinePressures:
 
         The argument of the function is the :class:`Loss` of the part. The fittings of this `kind`, such as bends, have
         the friction at the lower (`end` 0) or upper (`end` 1) end of their band. If the slip layer was fitted to a
-        trial line, the fit used the present friction of the fittings. With another friction of theirs, the same gauges
-        give another layer. All friction is therefore multiplied by one factor, so that the mean pressure due to
-        friction at the gauges remains the same.
+        trial line, the fit used the present friction of the fittings. If the fittings had another friction, the same
+        gauges would give another layer. All friction is therefore multiplied by one factor, so that the mean pressure
+        due to friction at the gauges remains the same.
         """
 
         def changed(x: Loss) -> float:

@@ -269,7 +269,7 @@ class LineResult(LinePressures):
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         found += [f"part {x.part.number}: simulated as a fluid without stones, which may add to its friction, so that "
                   "its range stays; a measured 'factor' narrows it"
-                  for x in self.losses  # Leave out an unsimulated bore; its friction is that by theory.
+                  for x in self.losses  # Leave out bores that were not simulated.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
             found.append("no concrete pump is known to deliver more than "

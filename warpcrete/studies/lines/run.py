@@ -60,11 +60,11 @@ def run_line(
 ) -> LineResult:
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
 
-    By default, the answer is that of :func:`line_by_theory`. With `simulate`, each kind of part is simulated once,
+    By default, :func:`line_by_theory` computes the answer. With `simulate`, each kind of part is simulated once,
     without weight. A straight pipe is simulated as a periodic one. A bend or reducer is simulated between two straight
     stretches, whose friction is subtracted, with `cells` cells across the narrowest bore. If `unless_known` is set as
-    well, only bends and reducers that are sharper than those of earlier simulations are simulated. The friction of all
-    other parts, including bores from meshes, then follows as in :func:`line_by_theory`.
+    well, only bends and reducers that are sharper than all bends and reducers of earlier simulations are simulated. The
+    friction of all other parts, including bores from meshes, then follows as in :func:`line_by_theory`.
 
     The pressure has an uncertainty band. Its causes are the model errors of fittings, and either a factor
     `layer_factor` on the resistance of the slip layer or, if `variants` is given, its pairs of concretes (see

@@ -50,9 +50,9 @@ class TapModel:
     def _course(self, flow: float, constants: np.ndarray) -> tuple[list[float], list[float]]:
         """Return the pressure loss of each part at a `flow` [m3/s], and the pressures at the ends of the parts [Pa].
 
-        The pressures include that at the start of the line. A bend whose factor is fitted has the friction of straight
-        pipe, multiplied by the third of the `constants`. All other parts have the same friction as in the calculation
-        of a line without a fit.
+        The first of these pressures is the pressure at the start of the line. A bend whose factor is fitted has the
+        friction of straight pipe, multiplied by the third of the `constants`. All other parts have the same friction as
+        in the calculation of a line without a fit.
         """
         eta, tau, factor = (float(each) for each in constants)
         concrete = replace(self.concrete, slip_viscosity=eta, slip_yield=tau)
@@ -87,7 +87,7 @@ def metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> TapM
     """Return a model of one metre of level pipe at the mean flow of the taps.
 
     The pipe has the diameter in which the concrete loses most of its pressure by friction. The gauges determine the
-    friction there, and not the one in a short wide pipe at the pump.
+    friction in this diameter, but not the friction of a short wide pipe at the pump.
     """
     flow = float(np.mean([tap.flow for tap in taps]))
     losses: dict[float, float] = {}

@@ -16,7 +16,7 @@ from ...geometry.pipe_line import Part, PipeLine
 COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
 where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
-before which it sits."""
+before which the gauge sits."""
 
 SAME_FLOW = 0.02
 """Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not

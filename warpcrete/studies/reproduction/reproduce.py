@@ -44,12 +44,12 @@ def reproduce(
     """Run the cases of a paper, `zhan` (discrete elements) or `xu` (flows), and write to the new folder `out`.
 
     `quick` replaces clumps by coarse spheres and runs fewer cases. `seeds` is the number of seeds for each case of
-    discrete elements. `only` names what to run for Zhan et al.; the rest is left out. Its names of concretes, and of
-    assumptions that the paper leaves open, select columns of the report. Its names of pipe units and of varied
-    parameters select rows. A cell of the report is computed if both its column and its row are selected; if no column
-    or no row is named, all of them count as selected. `known` lists folders of earlier reproductions whose results are
-    reused. Raises :class:`SceneError` for an unknown paper or name, and :class:`RunFolderError` for a folder without
-    results.
+    discrete elements. `only` is a list of names that selects the runs for Zhan et al. The report on this paper has a
+    column for each concrete and for each assumption that the paper leaves open, and a row for each pipe unit and each
+    varied parameter. A case is run if `only` names its column and its row. If `only` names no column, all columns count
+    as named; if it names no row, all rows count as named. `known` lists folders of earlier reproductions whose results
+    are reused. Raises :class:`SceneError` for an unknown paper or name, and :class:`RunFolderError` for a folder
+    without results.
     """
     one_of("paper", paper, PAPERS)
     if not 1 <= seeds <= MAX_CASES:

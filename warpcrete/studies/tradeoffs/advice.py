@@ -30,7 +30,7 @@ class Advice:
     quantities: tuple[str, ...]
     """Names of the measured quantities to which the promised error applies."""
     ratio: float
-    """Wall time of a run with these settings, divided by that of the scene without them."""
+    """Wall time of a run with these settings, divided by the wall time of a run without them."""
     left_out: tuple[str, ...]
     """Descriptions of recommended settings that cannot be used in this scene. Without them, the promised error may be
     exceeded."""
@@ -159,7 +159,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
-    """Return a description of each parameter whose value differs from that in the measured scene."""
+    """Return a description of each parameter whose value in this scene differs from its value in the measured scene."""
     # Convert the values before comparing them, because one value can be stated in different ways. For example, the
     # parameter for the pipe unit of Zhan et al. accepts a letter or a name.
     ours = module.scene.declared(own)

@@ -30,7 +30,7 @@ TIMED_FRAMES = 3  # number of frames that are timed for each recorder
 MEASURING = "measuring the first steps; kernels that are not in the cache are compiled before, which can take minutes"
 """Sentence for users who wait for the measurements."""
 MAX_TIME_RATIO = 0.9
-"""Ratio of wall time with a simplification to that without it, below which the simplification is listed."""
+"""Limit for listing a simplification: wall time with the simplification, divided by the wall time without it."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Saving:
     what: str
     """Name of the simplification, for the user."""
     ratio: float
-    """Wall time with the simplification, divided by that of the unchanged scene."""
+    """Wall time with the simplification, divided by the wall time of the unchanged scene."""
     error: str
     """Measured error that the simplification causes, in words, or a note that it was not measured."""
 
@@ -157,9 +157,10 @@ def _measured_savings(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[lis
 def _knobs_of(scene: Any, measured: Mapping[str, Any] | None) -> set[str]:
     """Return the names of those accuracy parameters of a scene that recommended settings may change.
 
-    `measured` holds the parameters of the scene of a trade-off record. Leave out a knob whose parameters have other
-    values in this scene: the record compares its settings with the values there. For example, cells of 12 mm save
-    nothing in a scene that has cells of 12.5 mm. Knobs whose settings are factors, such as coarser aggregate, remain.
+    `measured` holds the parameters of the scene of a trade-off record. A knob is left out if its parameters have other
+    values in this scene than in the record, because the record states savings relative to its own values. For example,
+    cells of 12 mm save nothing in a scene that has cells of 12.5 mm. Knobs whose settings are factors, such as coarser
+    aggregate, remain.
     """
     module = modules().get(scene.name)
     given = arguments_of(scene)

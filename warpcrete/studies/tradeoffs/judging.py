@@ -160,7 +160,7 @@ class Judging(ABC):
         return max(point.worst.bound, alone) + max(self.reference_errors.values(), default=0.0)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
-        """Return a bound for the errors of a setting in another scene, estimated from those in `variants` of the scene.
+        """Return a bound for a setting's errors in another scene, estimated from its errors in `variants` of the scene.
 
         The estimate assumes that the other scene differs from the original one as much as the variants do. For each
         quantity, the errors in the original scene and in its variants give a 95 % prediction interval. The result is

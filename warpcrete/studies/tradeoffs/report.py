@@ -269,5 +269,6 @@ def _name_levels(axes: Any, trade: Trade) -> None:
         if all(abs(x - u) > 2 * NEAR or abs(y - v) > NEAR for u, v in placed):
             text = trade.label(point).removeprefix(f"{point.origin} ")
             label = axes.annotate(text, at, (apart, 4), textcoords="offset points", color="0.35", ha=side)
-            label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # The front may pass below it.
+            # The line of the Pareto front may pass behind the label, so give the text a white outline.
+            label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
             placed.append((x, y))

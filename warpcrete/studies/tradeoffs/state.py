@@ -149,7 +149,7 @@ class Trade(Judging):
 
         A knob is a parameter that trades accuracy for run time, a level is one of its values, and the setting `point`
         is a choice of one level for each knob. `changes` are the parameters in which the variant differs from the
-        scene. The value behind the name of a level may be another one in the variant.
+        scene. A level of the same name may stand for another value in the variant.
         """
         base = {**self.base, **changes}
         knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
@@ -177,7 +177,7 @@ class Trade(Judging):
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Return the wall time of the scene with `knob` at one level, divided by that of the scene as given.
+        """Return the wall time with `knob` at one level, divided by the wall time of the scene as given.
 
         A knob is a parameter that trades accuracy for run time, and a level is one of its values. The ratio is measured
         if there was a run in which only this knob was changed to this level. Otherwise it is estimated.

@@ -250,7 +250,7 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"fails with the given parameters: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    # `spent` is the time that this call has spent on runs. If it is 0, all runs so far are those of an earlier call,
+    # `spent` is the time that this call has spent on runs. If it is 0, all runs so far were made by an earlier call,
     # and a few further runs may be enough to complete the study. Therefore, refuse a short budget only if `spent` is
     # above 0.
     if trade.spent > 0 and needed > trade.budget:

@@ -36,8 +36,8 @@ def run_worker_job(
     """Run the cases until the time is used up, a case fails, or the callback `stop_requested` returns True.
 
     Returns one outcome for each case so far: the contents of its result.json, the exception that ended the case, or
-    None if the case was stopped. Raises :class:`WarpcreteError` if the worker's processor differs from that of earlier
-    runs.
+    None if the case was stopped. Raises :class:`WarpcreteError` if earlier runs took place on another kind of
+    processor.
     """
     here = hardware(record["device"])
     if here != record["hardware"]:

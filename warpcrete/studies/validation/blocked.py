@@ -21,7 +21,7 @@ class BlockingComparison:
     blocked: bool
     """True if the concrete blocked in the test."""
     verdict: str
-    """Most severe verdict of all rules that can be applied, which are those whose inputs the case states."""
+    """Most severe verdict of all rules that can be applied. A rule can be applied if the case states its inputs."""
     rules: str
     """Names of the rules whose verdict on this case is 'risky' or 'blocks', as text."""
 

@@ -21,7 +21,7 @@ LEAST_SLUMP = 0.005
 """Lower limit for the predicted slump [m]. It is half of the 10 mm to which the slump of a cone is read."""
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix without a stated density [kg/m3]. Predictions of weight and slump depend on the density,
-and those of friction do not."""
+but predictions of friction do not."""
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
@@ -74,7 +74,7 @@ def _pipe(case: Case) -> list[Band]:
 
 
 def _ratio(case: Case) -> list[Band]:
-    """Predict the friction of one concrete divided by that of another, in one pipe at one flow."""
+    """Predict the friction of one concrete divided by the friction of another, in one pipe at one flow."""
     diameter = _number(case, "diameter", "m")
     mix, other = mix_of_case(case), mix_of_case(case, _entry(case, "reference"))
     found = []
@@ -87,7 +87,7 @@ def _ratio(case: Case) -> list[Band]:
 
 
 def _line(case: Case) -> list[Band]:
-    """Predict the friction of a whole line [Pa]: its pressure at the pump minus that due to the concrete's weight."""
+    """Predict the friction of a whole line [Pa]: the pressure at the pump minus the weight's part."""
     mix = mix_of_case(case)
     line = _line_of(case)
     found = []
@@ -99,7 +99,7 @@ def _line(case: Case) -> list[Band]:
 
 
 def _fitting(case: Case) -> list[Band]:
-    """Predict the friction of a part, divided by that of straight pipe of the same length."""
+    """Predict the friction of a part, divided by the friction of straight pipe of the same length."""
     line = line_of({"diameter": _entry(case, "diameter"), "parts": [_entry(case, "part")]}, case.name, case.folder)
     found = []
     for q in case.flows:
@@ -130,9 +130,10 @@ def _layer_share(case: Case) -> list[Band]:
 def _slump(case: Case) -> list[Band]:
     """Predict the slump [m] from the yield stress of the mix, which may itself follow from the spread.
 
-    The theories of wide heaps and of tall cones each give a slump. The smaller one is that of a homogeneous heap. In a
-    real heap, aggregate piles up in the centre and reduces the slump. The prediction is therefore lower by the median
-    of this effect (30 mm), and the lower end of the band by its largest value (:data:`HEAP_CENTRE`, 100 mm).
+    One theory holds for wide heaps and another one for tall cones. The smaller of the two slumps that they give is the
+    slump of a homogeneous heap. In a real heap, aggregate piles up in the centre and reduces the slump, by 30 mm in the
+    median and by up to 100 mm (:data:`HEAP_CENTRE`). The prediction is therefore the slump of the homogeneous heap
+    minus 30 mm. The lower end of its band is the lower end for the homogeneous heap minus 100 mm.
     """
     mix = mix_of_case(case)
 

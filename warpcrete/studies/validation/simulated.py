@@ -32,9 +32,10 @@ def representatives(cases: Sequence[Case]) -> list[Case]:
 def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: float | None = None) -> Comparison:
     """Predict a case by simulating its standard test as a flow.
 
-    `spacing` is the edge length of the cells [m], by default that of the scene. The uncertainty band has the same
-    relative width as that of the closed-form prediction, but no slump exceeds that of a flat heap. Raises
-    :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is interrupted.
+    `spacing` is the edge length of the cells [m], by default the scene's own. The uncertainty band has the same
+    relative width as the band of the closed-form prediction. The upper end of a slump's band is at most the largest
+    slump of a cone (:data:`FLATTEST`). Raises :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is
+    interrupted.
     """
     scene, quantity, more = SIMULATED[case.kind]
     concrete = mix_of_case(case).concrete
