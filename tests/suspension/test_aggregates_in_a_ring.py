@@ -44,17 +44,19 @@ def test_aggregates_bars_and_their_images_are_drawn(device):
 
 
 def test_what_has_passed_the_ring_is_counted(device):
-    simulation = begin(ring(device, duration=0.01), 1)
-    bodies = simulation.flow.aggregates.bodies
+    """Aggregates of different sizes count by their volumes, and particles by their masses."""
+    sizes = {"aggregate_smallest": 0.04, "aggregate_largest": 0.06, "aggregate_fraction": 0.11}
+    simulation = begin(ring(device, duration=0.01, **sizes), 1)
+    bodies, volume = simulation.flow.aggregates.bodies, simulation.flow.aggregates.radius**3
     centre = bodies.centre.numpy()
     centre[:, :2] = 0.05
     centre[0, :2] = [0.16, 0.17]
     bodies.centre.assign(centre)
-    row = simulation.measured()
-    assert row["aggregates_passed"] == pytest.approx(1 / len(centre))
+    row, passed = simulation.measured(), volume[0] / volume.sum()
+    assert row["aggregates_passed"] == pytest.approx(passed) and passed > 1.1 / len(volume)
     # No concrete is outside yet.
-    assert row["mortar_passed"] == pytest.approx(mortar_part(0.0, 1 / len(centre), simulation.fraction))
-    # Move the lightest 2 % of the particles outside. They count by their masses and by their distances from the axis.
+    assert row["mortar_passed"] == pytest.approx(mortar_part(0.0, passed, simulation.fraction))
+    # Move the lightest 2 % of the particles outside.
     particles = simulation.flow.state.particles
     place, mass = particles.position.numpy(), particles.mass.numpy().astype(float)
     moved = np.argsort(mass, kind="stable")[: len(mass) // 50]
@@ -63,8 +65,8 @@ def test_what_has_passed_the_ring_is_counted(device):
     outside = mass[moved].sum() / mass.sum()
     assert outside < 0.018 and beyond(simulation.flow, 0.23) == pytest.approx(outside, rel=1e-6)
     assert beyond(simulation.flow, 0.24) == 0
-    passed = mortar_part(outside, 1 / len(centre), simulation.fraction)
-    assert simulation.measured()["mortar_passed"] == pytest.approx(passed, rel=1e-6)
+    mortar = mortar_part(outside, passed, simulation.fraction)
+    assert simulation.measured()["mortar_passed"] == pytest.approx(mortar, rel=1e-6)
 
 
 @pytest.mark.thorough

@@ -8,6 +8,7 @@ import pytest
 import warpcrete
 from warpcrete import scenes
 from warpcrete.core.inputs.limits import PlausibilityWarning
+from warpcrete.suspension.flow import SuspensionStep
 from warpcrete.suspension.scene import SuspensionScene
 
 MORTAR = {
@@ -53,6 +54,30 @@ def test_the_aggregates_start_within_the_concrete(device):
     apart = np.linalg.norm(x[:, None] - x, axis=2) - (r[:, None] + r)
     assert apart[~np.eye(len(r), dtype=bool)].min() > 0
     assert np.all(x - r[:, None] > 0) and np.all(x + r[:, None] < [0.1, 0.1, 0.2])
+
+
+def test_rates_of_shear_up_to_the_surface_are_those_of_all_pairs(device):
+    """In a linear flow, the viscosity is that of the whole shear rate, far from an aggregate at the bottom.
+
+    Edges in the air above the highest cells do not count.
+    """
+    sizes = {"aggregate_fraction": 0.017, "aggregate_largest": 0.04}
+    simulation = warpcrete.Simulation(box(**sizes), device=device)
+    simulation.begin()
+    flow = simulation.flow
+    flow.aggregates.bodies.centre.assign([[0.05, 0.05, 0.04]])
+    slope = np.array([[0.3, 0.7, -0.4], [0.2, -0.5, 1.1], [0.6, -0.3, 0.2]])
+    flow.particles.velocity.assign(flow.particles.position.numpy() @ slope.T)
+    flow.particles.gradient.assign(np.tile(slope, (flow.count, 1, 1)))
+    stages = SuspensionStep(flow, range(1)).before()
+    for stage in stages[: [getattr(each, "name", "") for each in stages].index("viscosity") + 1]:
+        stage()
+    wanted = 10.0 + 20.0 / np.sqrt(0.5 * np.sum((slope + slope.T) ** 2))
+    state, far = flow.state, (slice(7, 16), slice(1, 7), slice(1, 7))
+    assert np.all(state.cells("liquid")[15, 1:7, 1:7] == 1) and not np.any(state.cells("liquid")[16])
+    for field in (flow.mesh, flow.cut):
+        in_cell = field.in_cell.numpy().reshape(state.shape)[1:-1, 1:-1, 1:-1]
+        assert in_cell[far] == pytest.approx(wanted, rel=1e-4)
 
 
 def test_a_run_goes_on_from_its_checkpoint_with_the_same_bits(device, tmp_path):

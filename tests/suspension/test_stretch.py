@@ -47,6 +47,19 @@ def test_aggregates_fill_the_pipe_but_not_its_wall_and_meet_over_the_ends(device
     assert whole == pytest.approx(len(r) * 4 / 3 * 0.01**3 / (0.04**2 * 0.06), rel=1e-6)
 
 
+def test_means_over_aggregates_weight_them_by_volume(device):
+    """The largest aggregate comes first, and the others are the faster and the farther from the axis they are."""
+    simulation = begun(device, 1, **SLOW, aggregate_smallest=0.015)
+    bodies, volume = simulation.flow.aggregates.bodies, simulation.flow.aggregates.radius**3
+    centre, velocity, order = bodies.centre.numpy(), bodies.velocity.numpy(), np.arange(len(volume)) / len(volume)
+    centre[:, :2], velocity[:, 2] = 0.04 * order[:, None] * [0.6, 0.8], 3 * order
+    bodies.centre.assign(centre)
+    bodies.velocity.assign(velocity)
+    mean, row = volume @ order / volume.sum(), simulation.measured()
+    assert mean < 0.9 * order.mean()
+    assert (row["aggregate_radius"], row["aggregate_velocity"]) == pytest.approx((mean, 3 * mean), rel=1e-6)
+
+
 def test_a_fraction_of_less_than_an_aggregate_is_noticed():
     with pytest.warns(PlausibilityWarning, match=r"aggregate_fraction = 1e-06: whole .*, 1 of them, have .* 0\.0139$"):
         begun("cpu", aggregate_fraction=1e-6)
