@@ -406,7 +406,8 @@ def test_progress_grows_to_the_last_verification_run(tmp_path, monkeypatch):
     found = calibrate(one_pressure(), out=tmp_path / "out", trials=8, repeat=3, device="cpu")
     ends = [begun + share for begun, share in parts]
     assert [begun for begun, _ in parts[1:]] == pytest.approx(ends[:-1]) and ends[-1] == pytest.approx(1.0)
-    assert len(found.searched) <= 8 and len(found.trials) == len(found.searched) + 3
+    # A flow without aggregates gives the same result for every seed, so a single run verifies it.
+    assert len(found.searched) <= 8 and len(found.trials) == len(found.searched) + 1
     # The closed form of the likeliest parameters stands beside the runs, which here come from closed forms as well.
     (target,) = found.task.targets
     assert found.closed_forms[target] == pytest.approx(found.verification_values(target)[0], rel=1e-9)

@@ -16,8 +16,9 @@ import warpcrete
 from warpcrete import scenes
 from warpcrete.cli.study import parameter_values
 from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.scenes import modules as scene_modules
 from warpcrete.studies import running
-from warpcrete.studies.cases import Case
+from warpcrete.studies.cases import Case, is_random
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
@@ -236,6 +237,15 @@ def test_a_parameter_is_held_or_varied(tmp_path):
     with pytest.raises(SceneError, match="repeat = 2: must be 1, because nothing in this scene depends on a seed"):
         cases_of({}, {"velocity": [0.1]}, repeat=2, seeded=False)
     assert cases_of({}, {"velocity": [0.1]}, seeded=False)[0].parameters == {"velocity": 0.1}
+
+
+def test_a_flow_without_aggregates_is_not_repeated_with_other_seeds(tmp_path):
+    """Such a scene has a seed, but equal results for every seed, which would look like a scatter of zero."""
+    slump = scene_modules()["slump"]
+    with pytest.raises(SceneError, match="repeat = 3: must be 1, because nothing in this scene is random"):
+        run_study("slump", slump, {"yield_stress": [50.0, 100.0]}, out=tmp_path / "out", repeat=3, device="cpu")
+    assert not (tmp_path / "out").exists()
+    assert is_random(scenes.slump(aggregate_fraction=0.2, lift_time=0.0)) and not is_random(scenes.slump())
 
 
 @pytest.mark.thorough

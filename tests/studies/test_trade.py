@@ -142,7 +142,7 @@ def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
         (dict(quantities=["presure"]), "quantity = 'presure': must be one of"),
         (dict(knobs=["spacings"]), "knob = 'spacings': must be one of spacing"),
         (dict(repeat=2), "repeat = 2: must be 1, because nothing in this scene is random"),
-        (dict(repeat=0), "repeat = 0: must be 1"),
+        (dict(repeat=0), "repeat = 0: must be a whole number from 1"),
         (
             dict(quantities=["volume_error"]),
             "quantity = 'volume_error': has no exact solution for comparison; use pressure or",

@@ -70,6 +70,12 @@ def cases_of(
     return cases
 
 
+def is_random(scene: Any) -> bool:
+    """Return whether a scene's results depend on its random seed."""
+    parts = (getattr(scene, name, None) for name in ("fill", "aggregates", "aggregate_fraction"))
+    return any(part is not None for part in parts)
+
+
 def short_name(words: str) -> str:
     """Return a folder name made of `words`.
 

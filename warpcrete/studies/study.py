@@ -24,7 +24,7 @@ from ..core.run.run import Run
 from ..methods import method_of
 from ..record.recorders import RECORDERS
 from ..scenes import modules
-from .cases import Case, cases_of
+from .cases import Case, cases_of, is_random
 from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .running import FAILED, outcome_of, previous_outcome, run_in_processes, run_on_gpu
 from .study_result import Study
@@ -84,6 +84,11 @@ def run_study(
     cases = cases_of(
         given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time, seeded="seed" in known
     )
+    if repeat > 1 and not any(is_random(module.scene(**case.parameters)) for case in cases):
+        hint = "leave out 'repeat', or simulate aggregates"
+        refuse(
+            "repeat", repeat, "must be 1, because nothing in this scene is random: all seeds give equal results", hint
+        )
     return run_listed(
         scene_name, module, _without_idle_parameters(module.scene, cases), out=out, device=device, precision=precision,
         processes=processes, frames=frames, checkpoint_every=checkpoint_every, scheduler=scheduler, workers=workers,

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from ...core.device.device import find_device
-from ...core.errors import RunFolderError, WarpcreteError, callback, refuse, whole
+from ...core.errors import RunFolderError, SceneError, WarpcreteError, callback, refuse, whole
 from ...core.extras import needs_extra
 from ...core.inputs.origin import check_files, files_read
 from ...core.run.files import check_new, output_folder, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
 from ...record.checks import failed_checks
 from ...scenes import modules
-from ..cases import MAX_CASES, Case
+from ..cases import MAX_CASES, Case, is_random
 from ..cluster import check_scheduler
 from ..study import resume_study, run_listed
 from ..study_result import Study
@@ -80,8 +80,9 @@ def run_calibration(
     Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
     for each free parameter); verification runs come on top. `batch` is the number of sets in one round (default: 4,
     plus 2 for each free parameter). `repeat` is the number of verification runs of the likeliest parameters, each with
-    another seed. Raises :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError`
-    if all runs that should yield the value of a target fail.
+    another seed; if no scene depends on a random seed, the likeliest parameters are simulated once. Raises
+    :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError` if all runs that
+    should yield the value of a target fail.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     with files_read() as files:
@@ -195,7 +196,7 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
                   for k, units in enumerate(each["units"])]  # fmt: skip
         # Compute the progress of the whole calibration. The total is the number of permitted trials plus the number of
         # verification runs. If the search needs fewer trials, the verification runs count as the whole remaining work.
-        whole = most + settings["repeat"]
+        whole = most + _verification_runs(calibration, modules)
         begun = len(calibration.searched) / whole
         last = each["proof"] and place == len(rounds) - 1
         part = (begun, 1 - begun if last else len(trials) / whole)
@@ -206,6 +207,21 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
         if not each["proof"]:
             _update_posterior(calibration, settings["seed"] + place)
     calibration.finished = settings["repeat"] == 0
+
+
+def _verification_runs(calibration: Calibration, modules: Mapping[str, Any]) -> int:
+    """Return how often the likeliest parameters are simulated: at most once if no scene depends on a random seed."""
+    task, repeat = calibration.task, calibration.record["settings"]["repeat"]
+    values = task.values([0.5] * len(task.free))
+    for target, *_ in task.groups:
+        module = modules[target.scene]
+        try:
+            if is_random(module.scene(**task.parameters(target, values, module))):
+                return repeat
+        except SceneError:
+            # The middle of the ranges may be no valid scene; nothing is known then about the scene's randomness.
+            return repeat
+    return min(repeat, 1)
 
 
 def run_round(
@@ -341,7 +357,7 @@ def _next_round(
     if calibration.posterior is not None and (calibration.settled or left <= 0):
         if settings["repeat"] == 0:
             return None
-        units = [calibration.posterior.best.tolist()] * settings["repeat"]
+        units = [calibration.posterior.best.tolist()] * _verification_runs(calibration, modules)
         return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": True}
     if left <= 0:
         return None

@@ -24,7 +24,7 @@ from ...core.run.folders import locked_folder, new_folder
 from ...core.run.provenance import provenance, versions
 from ...methods import Simulation, method_of
 from ..api import module_of
-from ..cases import MAX_CASES
+from ..cases import MAX_CASES, is_random
 from ..cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
 from .points import COMBINED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
@@ -105,7 +105,7 @@ def run_trade(
     for name in knobs:
         if name not in all_knobs:
             refuse("knob", name, f"must be one of {', '.join(all_knobs)}")
-    seeded = _random(scene)
+    seeded = is_random(scene)
     if repeat is not None:
         whole("repeat", repeat, 1, MAX_CASES)
     if repeat is not None and repeat > 1 and not seeded:
@@ -223,12 +223,6 @@ def _continue(trade: Trade, budget: float, cluster: Cluster | None, progress: Te
     _measure(trade, progress or (lambda phase, fraction, figures: None))
     trade.cluster = None
     return trade
-
-
-def _random(scene: Any) -> bool:
-    """Return whether a scene's results depend on the random seed."""
-    parts = (getattr(scene, name, None) for name in ("fill", "aggregates", "aggregate_fraction"))
-    return any(part is not None for part in parts)
 
 
 def _measure(trade: Trade, tell: Tell) -> None:
