@@ -12,9 +12,12 @@ from warpcrete.core.run.method import report_of
 from warpcrete.core.units import number
 from warpcrete.kernels.mps.grid.cells import INSIDE, LIQUID
 from warpcrete.kernels.suspension.entering import entering_kernels
+from warpcrete.kernels.suspension.pairs import WALL
 from warpcrete.methods import method_of
 from warpcrete.mps.part.layout import Frame, bore_distance
 from warpcrete.mps.part.scene import PartScene
+from warpcrete.suspension.balance import PairForces
+from warpcrete.suspension.part import probes
 from warpcrete.suspension.part.blockage import blocked_place, is_blocked
 from warpcrete.suspension.part.probes import Census
 
@@ -175,6 +178,43 @@ def test_aggregates_weigh_only_in_the_mortar(device):
     # The second step is the first one without much inertia. The pressures differ by the weight of 15 % of aggregates
     # over the length of 0.22 m; the friction is the same up to what heavier aggregates lag behind.
     assert rows[1]["pressure"] - rows[0]["pressure"] == pytest.approx(9.81 * 0.22 * 0.15 * 1000, rel=0.25)
+
+
+def test_the_advance_of_aggregates_counts_by_volume():
+    """In a taper, a flow that advances half as far as the inflow moves by more, the narrower the bore is."""
+    simulation = begun("cpu", outlet_diameter=0.06, taper=0.05, aggregate_fraction=0.2)
+    found, scene, travel = census(simulation), simulation.scene, 0.004
+    before = found.place.copy()
+    for _ in range(30):
+        middle = np.clip(0.5 * (before + found.place), 0, scene.axis.length)
+        before = found.place - 0.5 * travel * (0.04 / scene.bore(middle)) ** 2
+    narrow = found.free & (found.place > scene.axis.length - 0.1)
+    assert np.count_nonzero(narrow) > 2 and np.all(found.place[narrow] - before[narrow] > 0.8 * travel)
+    assert found.slowest(before, travel) == pytest.approx(0.5, rel=1e-6)
+    assert found.slowest(np.full_like(before, np.nan), travel) == found.slowest(before, 0.0) == 1.0
+
+
+def test_a_force_between_two_aggregates_is_borne_once_between_their_centres(monkeypatch):
+    """Two aggregates within the part have an entry for each other, and one that is still entering has none."""
+    simulation = begun("cpu", aggregate_fraction=0.2)
+    found, scene = census(simulation), simulation.scene
+    within = np.flatnonzero(found.free)
+    within = within[np.argsort(found.place[within])]
+    entering = np.flatnonzero(found.seen & ~found.free & ~found.left)[0]
+    own, other = np.array(
+        [[within[1], within[-1]], [within[-1], within[1]], [within[0], entering], [within[2], WALL]]
+    ).T
+    ahead = Frame(scene).axes @ scene.axis.tangent * np.array([1.0, -1.0, -1.0, 1.0])[:, None]
+    nothing = np.zeros(4)
+    forces = PairForces(own, other, ahead, 0 * ahead, nothing, 0 * ahead, nothing, np.array([3.0, 3.0, 5.0, 7.0]),
+                        0 * ahead)  # fmt: skip
+    monkeypatch.setattr(probes, "pair_forces", lambda flow: forces)
+    ends = found.place[[within[1], within[-1]]], found.place[[entering, within[0]]]
+    s = np.linspace(0, scene.axis.length, 45)
+    inside = [(low < s) & (s <= high) for low, high in ends]
+    assert all(each.any() for each in inside)
+    area = 0.5 * np.pi * 0.04**2  # Half of the pipe is simulated.
+    assert found._pair_stress(s) == pytest.approx((3.0 * inside[0] + 5.0 * inside[1]) / area, rel=1e-6)
 
 
 def rows(slowest, pressure, gap=0.0, apart=0.01):
