@@ -15,7 +15,7 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels ``make``, which bonds close pairs of spheres, and ``reassign``, which changes kinds of bonds.
 
     The kind of a bond selects its parameters, such as stiffness and strength. Each launch processes the spheres of one
-    scene. The structs passed to it contain the arrays of this scene alone, not those of a batch of scenes.
+    scene. The structs passed to it contain the arrays of this scene alone, not the arrays of a batch of scenes.
     """
     structs = array_structs(scalar)
     Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs

@@ -4,8 +4,8 @@ Contact laws are classes in `warpcrete/dem/laws`. A kernel factory receives such
 its method `functions(scalar)` returns.
 
 Sign conventions for a contact between bodies a and b: The normal n points from a to b. Forces and moments act on a; b
-receives the opposite force. The relative velocity is that of b minus that of a, so a positive normal component means
-separation. A bonded contact may have a positive gap; the contact's own springs are then unloaded.
+receives the opposite force. The relative velocity is the velocity of b minus the velocity of a, so a positive normal
+component means separation. A bonded contact may have a positive gap; the contact's own springs are then unloaded.
 """
 
 import functools

@@ -16,7 +16,7 @@ from .structs import APART, TOUCHING, array_structs, links_struct
 
 EXTRA_MASKS: int = wp.constant(4)
 """Number of additional bit masks per sphere. Each bit tells if the pair of a list entry touches. The bits of a sphere's
-first BLOCK list entries are in `spheres.touching`, and those of later entries in the additional masks."""
+first BLOCK list entries are in `spheres.touching`, and the bits of later entries are in the additional masks."""
 MASKED_ENTRIES: int = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 

@@ -18,7 +18,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
     """Return the kernel over spheres of scene `s` that writes the force vector of each contact with spheres or walls.
 
     Each force acts on the sphere at which the contact is listed, and includes the force of a bond. The forces of shear
-    springs and bonds are those of the last step, while gaps and velocities are the current ones.
+    springs and bonds come from the last step, while gaps and velocities are current.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -132,9 +132,9 @@ def stress_probe(scalar) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that computes the stress sum of each body.
 
     The stress sum adds up the products of force and branch vector over the body's contacts. The branch vector points
-    from the centroid of one body to that of the other. The forces come from :func:`force_probe`, and compression is
-    positive. Half of the product of a contact is added to each of the two bodies. Sums are integers in units of 1 /
-    `scale` newton metres, so the order of the summation cannot change them.
+    from the centroid of one body to the centroid of the other body. The forces come from :func:`force_probe`, and
+    compression is positive. Half of the product of a contact is added to each of the two bodies. Sums are integers in
+    units of 1 / `scale` newton metres, so the order of the summation cannot change them.
     """
     t = types(scalar)
     structs = array_structs(scalar)

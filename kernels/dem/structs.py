@@ -365,7 +365,7 @@ def subcycled_struct(scalar):
         # index of each body's first row in `force`, followed by the number of rows, shape (bodies + 1,)
         start: wp.array(dtype=wp.int32)
         # For each row of `force`, the pair and the sphere to which it belongs: 2 p for the sphere of pair p with the
-        # lower permanent number, 2 p + 1 for the other one. Shape (2 pairs,).
+        # lower permanent number, 2 p + 1 for its other sphere. Shape (2 pairs,).
         ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # mass of each body [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia of each body [kg m2]
@@ -379,7 +379,7 @@ def subcycled_struct(scalar):
         spin: wp.array(dtype=t.vec3)  # angular velocity of each body in space axes [rad/s]
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
 
-        # all forces on each body other than those of pairs with stiff bonds, gravity included [N]
+        # all forces on each body other than the forces of pairs with stiff bonds, gravity included [N]
         other_force: wp.array(dtype=t.vec3)
         other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about each body's centroid [N m]
 

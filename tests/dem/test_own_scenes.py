@@ -90,7 +90,7 @@ def test_a_loaded_run_says_where_its_bodies_are(tmp_path):
         _ = back.bodies
     assert not hasattr(back, "body") and "energy_balance_error" not in pickle.loads(pickle.dumps(back)).quantities
     file.unlink()
-    with pytest.raises(AttributeError, match="this one has no recording of them"):
+    with pytest.raises(AttributeError, match="the folder has no recording of them"):
         _ = back.bodies
     assert len(done.bodies) == 1
 

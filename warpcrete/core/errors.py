@@ -170,7 +170,7 @@ RELATED = {
 def suggested(word: object, known: Iterable[object]) -> str:
     """Return "did you mean ...?" with a name of the same purpose or the closest `known` word; empty if none is close.
 
-    Names of the same purpose are the present one for a former name, and that of :data:`RELATED`.
+    A name of the same purpose is the present name for a former name, or the name that :data:`RELATED` states.
     """
     if not isinstance(word, str):
         return ""

@@ -233,7 +233,7 @@ def _packing_key(simulation: ElementSimulation) -> tuple:
 def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], None]) -> dict[tuple, tuple[Any, float]]:
     """Run each distinct packing once, even if several simulations need it; return results and wall times.
 
-    The dictionary's keys are those of :func:`_packing_key`. Each value is the packing's result from :func:`pack_many`
+    The dictionary's keys are results of :func:`_packing_key`. Each value is the packing's result from :func:`pack_many`
     and the wall time of one packing [s]. The wall time is the mean over all packings with the same device, precision
     and number of threads.
     """

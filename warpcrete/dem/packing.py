@@ -72,7 +72,7 @@ class PackingReport:
 def draw(
     fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator
 ) -> BodyTable:
-    """Return aggregates at evenly spread points, with a total volume of `fraction` times that of the container.
+    """Return aggregates at evenly spread points, with a total volume of `fraction` times the container's volume.
 
     Raises :class:`CapacityError` if the container would contain too many aggregates.
     """

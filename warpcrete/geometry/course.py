@@ -40,8 +40,8 @@ MAX_HOSE_KINK = 20.0
 """Largest angle [degrees] at the start of a hose, between the direction of the pipeline and the tangent of the curve
 through the hose's points. A larger angle is refused as a kink."""
 HOSE_LAYER = (0.1, 10.0)
-"""Usual range of the resistance of the slip layer in a hose divided by that of the slip layer in a pipe. A warning is
-given outside this range."""
+"""Usual range of the resistance of the slip layer in a hose divided by the resistance of the slip layer in a pipe. A
+warning is given outside this range."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 
@@ -259,18 +259,19 @@ def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> N
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction stated in a part's entries, divided by that of straight pipe of the same length.
+    """Return the friction that a part's entries state, divided by the friction of straight pipe of the same length.
 
     The result is None if the entries state no friction.
     """
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
     for stated in ("factor", "equivalent"):
-        # Each of these entries states the friction relative to straight pipe, which contains the effect of the layer.
+        # Each of these entries states the whole friction of the hose, which already contains the effect of the slip
+        # layer.
         _refuse_both(field, said, stated, "layer")
     if "factor" in said:
         factor = get("factor", "1")
-        hint = "'factor' is the friction of the part divided by that of a straight pipe of the same length"
+        hint = "'factor' is the friction of the part divided by the friction of a straight pipe of the same length"
         between(f"{field}: factor", factor, *FACTORS, "", hint)
         return factor
     if "equivalent" in said:
@@ -281,7 +282,7 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
 
 
 def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
-    """Return the resistance of the slip layer in a hose divided by that of the slip layer in a pipe."""
+    """Return the resistance of the slip layer in a hose, divided by the resistance of the slip layer in a pipe."""
     layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
     positive(f"{field}: layer", layer, "")
     if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:

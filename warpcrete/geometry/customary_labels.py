@@ -12,8 +12,8 @@ from .pipe_line import Part, PipeLine
 def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diameter: Any) -> tuple[Part, ...]:
     """Return the parts of a pipeline with labels in inches and feet.
 
-    `entries` are the entries of the parts in the pipeline's file, and `diameter` is that of the first part, as the file
-    states it. A size that the file states in a customary unit appears in the label as it is written there.
+    `entries` are the entries of the parts in the pipeline's file, and `diameter` is the diameter of the first part, as
+    the file states it. A size that the file states in a customary unit appears in the label as it is written there.
     """
     bore, found = _written(diameter, parts[0].diameter, INCH, "in"), []
     for part, entry in zip(parts, entries, strict=True):
@@ -33,7 +33,8 @@ def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diamete
 
 
 def as_customary(line: PipeLine) -> PipeLine:
-    """Return a pipeline that is described in customary US units, although its file has metric units, or none exists."""
+    """Return a pipeline with a description in customary US units, for a pipeline whose file has metric units or that
+    has no file."""
     return replace(line, customary=True, parts=tuple(_labelled(part, part.customary_label) for part in line.parts))
 
 

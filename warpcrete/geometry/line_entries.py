@@ -16,11 +16,12 @@ AMOUNTS = {
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "pump", "begin",
         "bend_factor", "parts")  # fmt: skip
 BEND_FACTOR = {
-    "factor": "Friction of every bend that states no factor, divided by that of straight pipe of its length",
+    "factor": "Friction of each bend without a factor of its own, divided by the friction of equally long straight pipe",
     "low": "Smallest possible factor of a bend",
     "high": "Largest possible factor of a bend",
 }
-"""Entries of `bend_factor` in a pipeline file, with their meaning. A single number instead of them is the factor."""
+"""Entries of `bend_factor` in a pipeline file, with their meaning. A single number instead of these entries is the
+factor."""
 PARTS = {
     "straight": {
         "length": ("m", "Length of its axis"),
@@ -29,14 +30,14 @@ PARTS = {
     },
     "bend": {
         "to": ("", "Direction in which the bend leads"),
-        "angle": ("degrees", "Angle of the bend; default: such that it ends in the direction 'to'"),
-        "radius": ("m", "Radius of its centreline; default: 0.5 m, or two diameters if these are larger"),
+        "angle": ("degrees", "Angle of the bend; default: the angle after which the line leads in the direction 'to'"),
+        "radius": ("m", "Radius of the bend's centreline; default: 0.5 m, or two diameters if these are larger"),
     },
-    "reducer": {"to": ("m", "Inner diameter behind it"), "length": ("m", "Length of its axis; default: 1 m")},
+    "reducer": {"to": ("m", "Inner diameter behind the reducer"), "length": ("m", "Length of its axis; default: 1 m")},
     "hose": {
         "length": ("m", "Length of a hose that leads straight on; instead of points"),
-        "points": ("m", "Points of its axis relative to its start: distance ahead, to the left, up"),
-        "layer": ("1", "Resistance of its slip layer divided by that of a pipe"),
+        "points": ("m", "Points of the hose's axis relative to its start: distance ahead, to the left, up"),
+        "layer": ("1", "Resistance of the hose's slip layer divided by the resistance of the slip layer in a pipe"),
     },
     "valve": {"length": ("m", "Length of its axis; default: four diameters")},
     "bore": {
@@ -46,7 +47,7 @@ PARTS = {
         ),
         "scale": ("1", "Factor from the unit of the mesh to metres, 0.001 for mm"),
         "length": ("m", "Length along the line"),
-        "outlet": ("m", "Inner diameter behind it"),
+        "outlet": ("m", "Inner diameter behind the bore"),
     },
 }
 """Kinds of pipeline parts, each with its entries, their units and meaning. If a pipeline file has a single value
@@ -62,7 +63,10 @@ PART_HINTS = {
 }  # fmt: skip
 """Corrections for words that users write instead of a kind of part."""
 STATED = {
-    "factor": ("1", "Friction divided by that of straight pipe of its length, instead of the program's model"),
+    "factor": (
+        "1",
+        "Friction of the part divided by the friction of equally long straight pipe, instead of the program's model",
+    ),
     "equivalent": ("m", "Length of straight level pipe with the friction of the part, instead of the program's model"),
 }
 """Entries of a pipeline file that state the friction of a part; they are allowed for every kind of part."""
@@ -86,11 +90,12 @@ BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
 """Default radius of a bend: the larger of BEND_RADIUS [m] and BEND_DIAMETERS times the pipe's diameter. BEND_RADIUS is
 the smaller of the two radii, 0.5 and 1 m, for which JSCE's rule gives an equivalent length of straight pipe."""
 HOSE_FACTOR = 2.0
-"""Ratio of a hose's friction to that of straight pipe of the same length, for a hose of which only the length is known.
-The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""
+"""Ratio of a hose's friction to the friction of straight pipe of the same length, for a hose whose length alone is
+known. The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""
 REDUCER_LENGTH = 1.0
 """Default length of a reducer [m]."""
 VALVE_DIAMETERS = 4.0
 """Default length of a valve, divided by its inner diameter."""
 FACTORS = (0.1, 100.0)
-"""Smallest and largest accepted value of a part's entry `factor`, its friction divided by that of straight pipe."""
+"""Smallest and largest accepted value of a part's entry `factor`, the friction of the part divided by the friction of
+straight pipe."""

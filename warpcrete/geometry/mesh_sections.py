@@ -47,8 +47,8 @@ RADIUS_TOLERANCE = 0.02
 """Largest accepted change of a cross-section's radius, as a fraction of the radius, when the cross-section is shifted
 or turned. A larger change means that its rays meet something other than the bore's wall, for example a lid."""
 OPENING_RATIO = 3.0
-"""Largest accepted ratio of the radius of a cross-section to that of the previous one. At a larger ratio, the bore
-counts as open to the side."""
+"""Largest accepted ratio of the radius of a cross-section to the radius of the previous cross-section. At a larger
+ratio, the bore counts as open to the side."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np
         before = chosen[1] - chosen[2]
         behind = float(np.linalg.norm(before))
         # The slope of a parabola at its end is the slope of the last chord plus the change of slope from the previous
-        # chord, weighted with the length of the last chord over the length of both chords.
+        # chord, multiplied by the length of the last chord divided by the length of both chords.
         slope = slope + (slope - before / behind) * length / (length + behind)
     return slope / np.linalg.norm(slope)
 

@@ -28,8 +28,8 @@ FAN_ROTATION, RETRY_ROTATION = 0.382, 0.1
 first one, which keeps the rays away from the edges of regular tubes. If a ray meets no wall, the fan is turned further
 by the second one and tried again."""
 ROUNDNESS_TOLERANCE = 0.01
-"""Largest difference between the radius of a bore's wall and that of a cylinder, as a fraction of the cylinder's
-radius, for which the bore counts as cylindrical."""
+"""A bore counts as cylindrical if the distance of its wall from the axis differs from the radius of a cylinder by at
+most this fraction of the cylinder's radius."""
 MAX_FACES = 500_000
 """Largest accepted number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
 MAX_EXTENT = 1e4

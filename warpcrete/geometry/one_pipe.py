@@ -60,7 +60,8 @@ def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) 
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Return the arc lengths [m] at which the parts of a pipeline begin, and that of its end, shape (parts + 1,)."""
+    """Return the arc lengths [m] at which the parts of a pipeline begin and at which the pipeline ends, shape (parts +
+    1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 

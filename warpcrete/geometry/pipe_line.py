@@ -36,15 +36,16 @@ class Part:
     angle: float = 0.0
     """Angle of a bend [degrees]; 0 for other parts."""
     relative_loss: float = 1.0
-    """Friction of a hose by the program's own model, divided by that of straight pipe of the same length; 1 for other
-    parts."""
+    """Friction of a hose by the program's own model, divided by the friction of straight pipe of the same length; 1 for
+    other parts."""
     layer: float = 1.0
-    """Resistance of the slip layer in a hose divided by that of the slip layer in a pipe; 1 for other parts."""
+    """Resistance of the slip layer in a hose, divided by the resistance of the slip layer in a pipe; 1 for other
+    parts."""
     mesh: MeshBore | None = None
     """Bore that a mesh file describes; None for other parts."""
     factor: float | None = None
-    """Friction of the part as stated in the pipeline file, divided by that of straight pipe of the same length and
-    inner diameters; None if the file does not state it."""
+    """Friction of the part as stated in the pipeline file, divided by the friction of straight pipe of the same length
+    and inner diameters; None if the file does not state it."""
     factor_range: tuple[float, float] | None = None
     """Lowest and highest `factor` that agree with the pressures measured on a real pipeline; None if `factor` was not
     fitted to measured pressures."""
@@ -53,9 +54,9 @@ class Part:
 
     @property
     def relative(self) -> float:
-        """Friction of the pipeline part, divided by that of straight pipe of the same length.
+        """Friction of the pipeline part, divided by the friction of straight pipe of the same length.
 
-        The value is that of `factor` if it is stated, otherwise that of `relative_loss`.
+        The value is `factor` if the file states a factor, otherwise `relative_loss`.
         """
         return self.relative_loss if self.factor is None else self.factor
 
@@ -77,7 +78,8 @@ class Part:
     def label_with(self, metre: float, length: str, bore: float, width: str) -> str:
         """Return a short description of the part with given units.
 
-        `metre` is the size [m] and `length` the name of the unit of lengths; `bore` and `width` are those of diameters.
+        `metre` is the size [m] and `length` the name of the unit of lengths. `bore` is the size [m] and `width` the
+        name of the unit of diameters.
         """
         if self.kind == "bend":
             return f"bend of {self.angle:g} degrees, radius {self.radius / metre:g} {length}"
@@ -123,8 +125,8 @@ class PipeLine:
     pump: Pump | None = None
     """Data sheet of the pump."""
     customary: bool = False
-    """True if the line is described in customary US units. Texts about the line then give psi, feet and cubic yards
-    beside metric units."""
+    """True if the line is described in customary US units. Texts about the line then give psi, feet and cubic yards in
+    addition to metric units."""
 
     @property
     def length(self) -> float:

@@ -104,7 +104,8 @@ class Surfaces:
 def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
     """Return an adjacency list for each of the `count` corners of a mesh.
 
-    A list begins with the lowest index of the faces at the corner. Then follow the corners that edges connect to it.
+    A list begins with the lowest index of the faces at the corner. The corners that edges connect to this corner
+    follow.
     """
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))

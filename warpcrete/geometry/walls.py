@@ -192,7 +192,7 @@ class PlaneWall(_Wall):
     def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return vertices [m] (v, 3) and faces (f, 3) of a thin disc that shows the plane, or None.
 
-        The coordinates are those of the wall's own frame. An infinite plane, with `drawn_radius` 0, is not drawn.
+        The coordinates refer to the wall's own frame. An infinite plane, with `drawn_radius` 0, is not drawn.
         """
         if self.drawn_radius <= 0:
             return None

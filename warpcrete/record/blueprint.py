@@ -139,8 +139,8 @@ def cut_walls(display: Display) -> list[DrawnWall]:
         places = rotate(np.broadcast_to(orientation, (len(middles), 4)), middles) + position
         kept = wall.faces[places[:, 1] >= display.cut]
         if 0 < len(kept) < len(wall.faces):
-            # The half of the wall that the cut leaves lies behind the bodies and hides none, so it may be more opaque
-            # than the whole wall.
+            # The remaining half of the wall lies behind the bodies and hides none of them. It may therefore be more
+            # opaque than the whole wall.
             colour = (*wall.colour[:3], max(wall.colour[3], CUT_OPACITY))
             found.append(DrawnWall(wall.name, wall.vertices, kept, False, colour))
     return found

@@ -31,7 +31,9 @@ class LoadedRun(Run):
         if name != "bodies" or self.result.get("method") != "dem":
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         files = [str(path) for path in map(Path(self.folder or "").joinpath, DRAWN) if path.is_file()]
-        there = f"their recorded frames are in {' and '.join(files)}" if files else "this one has no recording of them"
+        there = (
+            f"their recorded frames are in {' and '.join(files)}" if files else "the folder has no recording of them"
+        )
         raise AttributeError(
             f"bodies: a run folder does not hold the final bodies as a table; {there}; "
             "warpcrete.Simulation(scene).run() returns a run with bodies"

@@ -129,7 +129,8 @@ def check_of(scene: Any) -> Check | None:
 
 
 def check_recorders(simulation: Simulation) -> list[Recorder]:
-    """Return the recorder of the checks for a simulation without a folder, unless it has one already."""
+    """Return the recorder of the checks for a simulation without a folder, unless the simulation has such a recorder
+    already."""
     check = check_of(simulation.scene)
     if check is None or any(isinstance(each, CheckRecorder) for each in simulation.recorders):
         return []

@@ -66,7 +66,7 @@ def recorders_of(
     The list always contains the recorder of tables. It contains the recorder of pictures if `pictures` is true, and
     each optional recorder whose name has a true value in `chosen`. `check` is the scene's acceptance check, or None if
     the scene has none. `command` holds settings that are stored in scene.json for a resumed run. If `going_on` is true,
-    the folder must be that of the same run, which was interrupted. If `again` is true, the scene.json of an existing
+    the folder must belong to the same run, which was interrupted. If `again` is true, the scene.json of an existing
     folder must describe exactly this run.
     """
     look = look or DrawSettings()

@@ -25,7 +25,7 @@ outside the triangles at the edges of a mesh, and therefore slightly outside the
 
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
-    """Return the Arrow array of a Rerun tensor with its values replaced by others of the same number and type."""
+    """Return the Arrow array of a Rerun tensor with its values replaced by other values of the same number and type."""
     # Arrow stores the values of a Rerun tensor as a union of list arrays, one for each data type.
     union = tensor.field("buffer")
     kind = union.type_codes[0].as_py()
@@ -39,7 +39,7 @@ class RerunRecorder(Recorder):
     """Recorder of bodies, moving walls, curves and profiles on one timeline, with a legend and a cut through the scene.
 
     Every clump is drawn by its own spheres, and the concrete of a flow on a grid by its surface. `path` is the path of
-    the .rrd file, or None. `live` is True to open a viewer, or the URL of a running one
+    the .rrd file, or None. `live` is True to open a viewer, or the URL of a running viewer
     (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened viewer listens. `colouring`
     is the quantity that colours the bodies. `network` adds lines between bodies, if the simulation method has any: the
     width and brightness of a contact's line show its force, and bonds without compression are orange.

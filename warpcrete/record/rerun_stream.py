@@ -44,9 +44,9 @@ def _rerun() -> Any:
 class RerunStream:
     """Stream of a recording to a file, to a viewer, or to both.
 
-    `path` is the path of the .rrd file, or None. `live` is True to open a viewer, or the URL of a running one. `bind`
-    is the IP address on which a newly opened viewer listens. The file has parts (`run.rrd`, `run-0001.rrd` and so on),
-    because only a complete part can be kept when a run is resumed.
+    `path` is the path of the .rrd file, or None. `live` is True to open a viewer, or the URL of a running viewer.
+    `bind` is the IP address on which a newly opened viewer listens. The file has parts (`run.rrd`, `run-0001.rrd` and
+    so on), because only a complete part can be kept when a run is resumed.
     """
 
     def __init__(self, path: Path | None, live: bool | str = False, bind: str = LOOPBACK) -> None:

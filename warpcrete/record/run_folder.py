@@ -44,11 +44,11 @@ def scene_record(simulation: SimulationBase, command: dict[str, Any] | None = No
 class TableRecorder(Recorder):
     """Recorder that creates the run folder and writes the tables into it.
 
-    The recorder writes scene.json at the start, appends rows to series.csv, and writes result.json at checkpoints
-    and at the end. Every row is flushed at once, so that an interrupted or killed run keeps all its samples.
-    `command` holds settings that are stored in scene.json for a resumed run. If `going_on` is true, the folder must be
-    that of the same run, which was interrupted. If `again` is true, the scene.json of an existing folder must describe
-    exactly this run.
+    The recorder writes scene.json at the start, appends rows to series.csv, and writes result.json at checkpoints and
+    at the end. Every row is flushed at once, so that an interrupted or killed run keeps all its samples. `command`
+    holds settings that are stored in scene.json for a resumed run. If `going_on` is true, the folder must belong to the
+    same run, which was interrupted. If `again` is true, the scene.json of an existing folder must describe exactly this
+    run.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class TableRecorder(Recorder):
         return self.folder / "series.csv"
 
     def claim(self, simulation: SimulationBase) -> None:
-        """Create the run folder, or reuse that of an interrupted run, and lock it against other processes.
+        """Create the run folder, or reuse the folder of an interrupted run, and lock it against other processes.
 
         A new folder receives scene.json.
         """
@@ -113,7 +113,8 @@ class TableRecorder(Recorder):
         self.close(simulation)
 
     def _write_early_end(self, simulation: SimulationBase, ending: Ending) -> None:
-        """Write the result.json of a run that ended before its first row, unless an earlier one holds results."""
+        """Write the result.json of a run that ended before its first row, unless an earlier result.json holds
+        results."""
         path = self.folder / "result.json"
         if path.is_file() and "steps" in read_json(path):
             return

@@ -307,7 +307,8 @@ class _Points:
 
 def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return the lowest and the highest corner of the box around all bodies [m], shape (2, 3)."""
-    # Store the values of each coordinate next to each other in memory, which finds their minimum ten times as fast.
+    # Store the values of each coordinate next to each other in memory, so that NumPy finds their minimum ten times as
+    # fast.
     x = np.ascontiguousarray(places.T)
     return np.stack([(x - reach).min(1), (x + reach).max(1)]).astype(np.float32)
 

@@ -66,7 +66,7 @@ def bound(kernel: Kernel, named: Mapping[str, object]) -> list[object]:
 
 
 def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
-    """Return a kernel's arguments by parameter name: those in `named`, completed by values from `common`."""
+    """Return a kernel's arguments by parameter name: the arguments in `named`, completed by values from `common`."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 
@@ -234,8 +234,8 @@ def graph_sizes(count: int, largest: int) -> list[int]:
 def merge_thread_stages(step: Step) -> Step:
     """Merge the stage lists of several threads into one list, for a single thread.
 
-    The single thread runs the stages of all threads up to the first barrier, then those of all threads up to the next
-    barrier, and so on.
+    The single thread runs the stages of all threads up to the first barrier, then the stages of all threads up to the
+    next barrier, and so on.
     """
     parts: list[list[list[Stage]]] = []
     for stages in step:

@@ -68,7 +68,7 @@ UNITS = {
     "Pa s2/m2": {"Pa s2/m2": 1.0, "Pa s²/m²": 1.0, "Pa.s2/m2": 1.0, "Pa·s²/m²": 1.0},
 }  # fmt: skip
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
-unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""
+unit to the internal unit. Gallons and fluid ounces (oz/yd3) are US units."""
 
 
 def accepted_units(unit: str) -> Mapping[str, float]:
@@ -120,8 +120,8 @@ def patterns(unit: str) -> tuple[str, ...]:
     """Return regular expressions for the texts that :func:`amount` accepts in `unit`.
 
     The caller must strip spaces from both ends of a text before matching. The groups of the first expression are the
-    number and its unit. For lengths there are two more expressions: the groups of the second one are a number with a
-    fraction and its unit (inch or foot), and those of the third one are feet and inches.
+    number and its unit. For lengths there are two more expressions: the groups of the second expression are a number
+    with a fraction and its unit (inch or foot), and the groups of the third expression are feet and inches.
     """
     simple = rf"([-+]?(?:{COMMA}|{DECIMAL}))\s*({_alternatives(accepted_units(unit))})?"
     if unit != "m":
@@ -262,7 +262,7 @@ OTHER_QUANTITIES = {
     "m3/s": ("m/s", "this is a velocity; multiply it by the area of the bore, 0.785 times its diameter squared"),
     "m/s": ("m3/s", "this is a flow; divide it by the area of the bore, 0.785 times its diameter squared"),
 }
-"""Units of amounts, each with that of another quantity for which users may take it, and advice for these users."""
+"""Units of amounts that users may confuse with another quantity, with the unit of that quantity and advice."""
 
 
 def _advice(text: str, unit: str) -> str:

@@ -4,7 +4,7 @@ A file is YAML or JSON with up to two sections of parameters, both in SI units:
 
 - `elements`: parameters of scenes with discrete elements, which `warpcrete run pipe --help` lists under aggregate,
   contacts and bonds;
-- `flow`: the five constants of a Bingham fluid with a slip layer, and those of other flow laws, if any.
+- `flow`: the five constants of a Bingham fluid with a slip layer, and further constants of other flow laws, if any.
 
 A section `mix` may replace both sections. It describes the concrete by amounts with units, from which
 :mod:`warpcrete.mix` derives the parameters.

@@ -53,7 +53,8 @@ LIMITS = {
     "m2/N": Limit(1e-30, 1.0, "steel has a wear coefficient of 1e-13 to 1e-12 m2/N"),
     "degrees": Limit(1e-6, 360.0, "a full turn has 360 degrees"),
     "": Limit(1e-12, 1e9, "ratios are near 1"),
-    # Limits by name, for quantities whose usual range is narrower than that of other quantities with the same unit.
+    # Limits by name, for quantities whose usual range is narrower than the usual range of other quantities with the
+    # same unit.
     "diameter": Limit(1e-3, 10.0, "concrete pipes have diameters of 0.05 to 0.2 m", (0.01, 1.0), "m"),
     "flow": Limit(1e-12, 1.0, "the largest concrete pumps deliver 0.06 m3/s (200 m3/h)", (1e-7, 0.12), "m3/s"),
     "velocity": Limit(1e-6, 100.0, "concrete is pumped at 0.1 to 3 m/s", (1e-4, 10.0), "m/s"),
@@ -113,7 +114,7 @@ def limit_of(name: str, unit: str) -> Limit | None:
 def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
     """Refuse an impossible value of `field`, and warn about an unlikely one.
 
-    The limits are those of the quantity `name`, or of the quantity `field` if `name` is empty.
+    The limits of the quantity `name` apply, or the limits of the quantity `field` if `name` is empty.
     """
     limit = limit_of(name or field, unit)
     if limit is None:

@@ -38,7 +38,7 @@ def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
 
 @dataclass
 class _Phase:
-    """State of the display of one phase; times are those of the clock [s]."""
+    """State of the display of one phase; all times are readings of the wall clock [s]."""
 
     name: str
     first: float

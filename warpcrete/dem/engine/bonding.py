@@ -105,7 +105,7 @@ def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.nda
     """Assign a second row of `pairs.load` to each bond between spheres of two CPU threads, and store the row in `bond`.
 
     The array `pairs.load` contains the forces and moments of bonds. A pair of spheres from two CPU threads has two
-    entries in the neighbour list, one for each thread. The second entry gets the row after that of the first entry.
+    entries in the neighbour list, one for each thread. The second entry gets the row after the row of the first entry.
     `low` and `high` are the sphere indices of all bonds, and `place` is the first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]

@@ -43,7 +43,7 @@ lifetime grows by the factor `LIFETIME_INCREASE`."""
 SHARED_REBUILD_AGE = 0.6
 """Minimum age at which the neighbour lists of a scene are rebuilt early, as a fraction of their expected lifetime.
 
-A rebuild is early if these lists are still valid, but those of another scene of the batch must be rebuilt.
+A rebuild is early if these lists are still valid, but the lists of another scene of the batch must be rebuilt.
 """
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
@@ -104,9 +104,9 @@ class LaunchPlanner:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
         All scenes with stale lists must be rebuilt. On a GPU, the rebuild of several scenes takes hardly longer than
-        that of one scene. A GPU therefore also rebuilds those scenes whose lists will soon be stale. `among` contains
-        the numbers of the running scenes, `flags` the control flags of all scenes, and `sort_every` the number of steps
-        between two re-sortings of each scene's bodies.
+        the rebuild of one scene. A GPU therefore also rebuilds those scenes whose lists will soon be stale. `among`
+        contains the numbers of the running scenes, `flags` the control flags of all scenes, and `sort_every` the number
+        of steps between two re-sortings of each scene's bodies.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NO_SCENES

@@ -26,8 +26,7 @@ PAIRS_PER_SPHERE = (
 
 
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
-    """Return the device memory of a body without its spheres [B], and that of a sphere with its neighbours and bonds
-    [B].
+    """Return the device memory [B] of a body without its spheres, and of a sphere with its neighbours and bonds.
 
     `table` must contain at least one body.
     """

@@ -154,8 +154,8 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
     subcycling = not growth and subcycled(scene)
     # Sub-cycled bodies need the kernel for clumps even if they are single spheres, because the velocity of a sub-cycled
-    # body differs from that of its spheres: the body has the velocity of the present sub-cycling round, and the spheres
-    # have the mean velocity over the step.
+    # body differs from the velocity of its spheres: the body has the velocity of the present sub-cycling round, and the
+    # spheres have the mean velocity over the step.
     clumps = subcycling or any(t is not None and len(t.radii) > 1 for t in shapes)
     features = Features(
         pair_law=type(pair_laws[0]),

@@ -228,8 +228,8 @@ class Subcycles:
         state = self.batch.states[s]
         body_of = np.empty(state.sphere_count, dtype=int)
         body_of[state.spheres.id.numpy()] = state.bodies.id.numpy()[state.spheres.body.numpy()]
-        # For each pair, `ends` contains the permanent number of the body of its first sphere and then that of its
-        # second sphere.
+        # For each pair, `ends` contains two permanent numbers of bodies: the body of the pair's first sphere and the
+        # body of its second sphere.
         ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]
         number, counts = np.unique(ends, return_counts=True)
         return number, counts, np.argsort(ends, kind="stable")

@@ -247,8 +247,8 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             f"must be at least the slope of force(), which is {slope[place]:.3g} N/m, so that steps are stable",
             "return the derivative of the force by the overlap",
         )
-    # The stress is that of a linear spring in a contact whose overlap is as large as the diameter of the stones. This
-    # overlap is 2 / DEEPEST times the deepest overlap of the path.
+    # `stress` is the stress of a linear spring in a contact whose overlap is as large as the diameter of the stones.
+    # This overlap is 2 / DEEPEST times the deepest overlap of the path.
     stress = push[-1] * (2 / DEEPEST) / (2 * depth.max() / DEEPEST) ** 2
     if stress > 0 and not 1 / STRESS_FACTOR < law.stress_scale / stress < STRESS_FACTOR:
         warn(
@@ -303,14 +303,14 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
         refuse(
             f"{name}.force()",
             f"a push that falls with the closing speed by {-dashpot.min():.3g} N s/m",
-            "must resist the motion; touch.velocity is that of body b relative to body a",
+            "must resist the motion; touch.velocity is the velocity of body b relative to body a",
             "return the opposite sign of the normal dashpot",
         )
     if slid.side.min() < -ROUNDING * np.abs(slid.side).max():
         refuse(
             f"{name}.force()",
             f"a force of {slid.side.min():.3g} N along the sliding of body b",
-            "must drag body a along with body b; touch.velocity is that of body b relative to body a",
+            "must drag body a along with body b; touch.velocity is the velocity of body b relative to body a",
             "return the opposite sign of the shear force",
         )
     if not law.has_shear and np.abs(slid.along).max() > ROUNDING * size:

@@ -291,8 +291,8 @@ def wall_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
 def bore_area(walls: Any, axis: Any, radius: float, at: float) -> float:
     """Return the cross-sectional area of the bore at the arc length `at` [m2].
 
-    Rays across the axis measure the distance to fixed meshes. If no closed mesh surrounds the axis, the area is that of
-    a circle of `radius` [m].
+    Rays across the axis measure the distance to fixed meshes. If no closed mesh surrounds the axis, the result is the
+    area of a circle of `radius` [m].
     """
     area = np.pi * radius**2
     point, _, normal, side = axis.frame(at)

@@ -35,7 +35,7 @@ COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
 """Base colour of worn walls as red, green, blue and alpha; aggregates remain faintly visible behind such walls."""
 WEAR_PALETTE = "magma_r"
-"""Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
+"""Colour map of wear, different from the colour map of aggregates, and pale where a wall is not worn."""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
 """Quantile of the depths of all worn patches that sets the top of the colour scale.

@@ -2,9 +2,9 @@
 
 A heap of aggregates has no smooth surface, and single aggregates roll away from it. Heights are therefore measured like
 a laser scan from above: each ray of a vertical grid finds the highest point of any sphere, and heights are averaged
-over areas wider than several aggregates. The spread is that of the main body only, because one stray aggregate would
-otherwise determine it. An aggregate is a stray if at least one empty cell, as wide as the largest aggregate, separates
-it from the main body. A slump is the difference of two heights measured in this way, so the effect of surface
+over areas wider than several aggregates. The spread is measured on the main body only, because one stray aggregate
+would otherwise determine it. An aggregate is a stray if at least one empty cell, as wide as the largest aggregate,
+separates it from the main body. A slump is the difference of two heights measured in this way, so the effect of surface
 roughness cancels.
 """
 

@@ -58,8 +58,9 @@ def ball_points(count: int = POINTS) -> np.ndarray:
 def stones_of(state: State) -> Stones:
     """Return the centres, radii, volumes and sizes of all spheres of which the aggregates consist.
 
-    The spheres are ordered by their permanent numbers. The size of a sphere is that of the aggregate to which it
-    belongs. If the aggregate is a clump of several spheres, the volume of a sphere is its share of the clump's volume.
+    The spheres are ordered by their permanent numbers. The size of a sphere is the size of the aggregate to which the
+    sphere belongs. If the aggregate is a clump of several spheres, the volume of a sphere is its share of the clump's
+    volume.
     """
     order = np.argsort(state.spheres.id.numpy())
     body = state.spheres.body.numpy()[order]
@@ -180,8 +181,8 @@ def _at_end(name: str) -> Callable[[Any], float | None]:
 def _outward(place: int) -> Callable[[Any], float | None]:
     """Return a function that computes the radial segregation in the row `place` of the time series.
 
-    The function takes the data of a run. It subtracts the volume fraction of aggregate in the inner half of the pipe's
-    radius from that in the outer half. It divides this difference by the mean volume fraction.
+    The function takes the data of a run. Its result is the volume fraction of aggregate in the outer half of the pipe's
+    radius, minus the volume fraction in the inner half, divided by the mean volume fraction.
     """
 
     def found(known: Any) -> float | None:

@@ -60,7 +60,7 @@ class BodyTable:
         return BodyTable(none, np.zeros((0, 4)), none, none, np.zeros(0), np.zeros(0, int), np.zeros(0), [], [], ())
 
     def joined(self, other: BodyTable) -> BodyTable:
-        """Return a table with the bodies of this table followed by those of `other`.
+        """Return a table with the bodies of this table followed by the bodies of `other`.
 
         A template object that occurs in both tables is stored once.
         """

@@ -255,7 +255,7 @@ class Scene(Parametrised):
     """Arguments of the scene function that created this scene, by name; empty if no scene function created it."""
 
     def laws(self) -> tuple[ContactLaw, ...]:
-        """Return all contact laws of the scene: `contact` first, then those of `contacts`."""
+        """Return all contact laws of the scene: `contact` first, then the laws in `contacts`."""
         return (self.contact, *self.contacts.values())
 
     @property
