@@ -16,7 +16,7 @@ AMOUNTS = {
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "pump", "begin",
         "bend_factor", "parts")  # fmt: skip
 BEND_FACTOR = {
-    "factor": "Friction of each bend without a factor of its own, divided by the friction of equally long straight pipe",
+    "factor": "Friction of a bend without a factor of its own, divided by the friction of equally long straight pipe",
     "low": "Smallest possible factor of a bend",
     "high": "Largest possible factor of a bend",
 }
