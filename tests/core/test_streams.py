@@ -1,5 +1,6 @@
 """Standard streams that are closed or full, the end of the terminal, and a cache of kernels that cannot be written."""
 
+import io
 import os
 import signal
 import subprocess
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from warpcrete.cli.console import prepare_streams
 from warpcrete.core.device import device
 from warpcrete.core.device.interrupts import StopAtSample
 from warpcrete.core.device.kernel_files import kernel_cache_errors
@@ -42,6 +44,15 @@ def test_messages_that_cannot_be_written_end_nothing(closed):
 
     done = subprocess.run([sys.executable, "-c", SAY], stdout=subprocess.PIPE, preexec_fn=close)
     assert done.returncode == 0 and done.stdout == (b"" if 1 in closed else b"done\n")
+
+
+def test_the_stream_that_is_replaced_stays_open(monkeypatch, tmp_path):
+    with (tmp_path / "log").open("w", encoding="utf-8") as log:
+        monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(log.buffer, "utf-8"))
+        prepare_streams()
+        print("über", file=sys.stderr, flush=True)
+        monkeypatch.undo()
+    assert (tmp_path / "log").read_text(encoding="utf-8") == "über\n"
 
 
 def test_a_program_without_standard_error_shows_no_bar(monkeypatch):

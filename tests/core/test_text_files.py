@@ -113,6 +113,14 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):
     assert read_mapping(written(tmp_path, b"\xef\xbb\xbfa: \xc3\xbc\n"), "it") == {"a": "ü"}
 
 
+def test_tabs_at_the_ends_of_lines_mean_nothing_and_other_tabs_are_named(tmp_path):
+    assert read_mapping(written(tmp_path, "a: 1 \t\r\nb:\t\n  - c \t \n\t\nd: 'e f'\t"), "it") == {
+        "a": 1, "b": ["c"], "d": "e f",
+    }  # fmt: skip
+    with pytest.raises(SceneError, match=r"line 2.*write spaces instead of tabs"):
+        read_mapping(written(tmp_path, "a:\n\t- 1\n"), "it")
+
+
 def special_files(folder):
     os.mkfifo(folder / "fifo.yaml")
     (folder / "folder.yaml").mkdir()

@@ -11,6 +11,10 @@ class MessageStream(io.TextIOWrapper):
     This happens if the terminal is closed, or if the file of a log lies on a full disk.
     """
 
+    def __init__(self, stream: io.TextIOWrapper) -> None:
+        super().__init__(stream.buffer, stream.encoding, stream.errors, line_buffering=True)
+        self._stream = stream  # Python closes the buffer as soon as nobody refers to the stream that owns it.
+
     def write(self, text: str) -> int:
         """Write a text, or drop it."""
         try:
@@ -40,8 +44,7 @@ def prepare_streams() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     if type(sys.stderr) is io.TextIOWrapper:
-        old = sys.stderr
-        sys.stderr = MessageStream(old.buffer, old.encoding, old.errors, line_buffering=True)
+        sys.stderr = MessageStream(sys.stderr)
 
 
 def _open_closed_streams() -> None:
@@ -60,6 +63,4 @@ def _open_closed_streams() -> None:
             else:
                 os.set_inheritable(sink, True)
         if getattr(sys, name) is None:
-            stream = open(os.devnull, "w" if number else "r", encoding="utf-8")  # noqa: SIM115
-            setattr(sys, name, stream)
-            setattr(sys, f"__{name}__", stream)  # Keep the stream open if another one replaces it.
+            setattr(sys, name, open(os.devnull, "w" if number else "r", encoding="utf-8"))  # noqa: SIM115

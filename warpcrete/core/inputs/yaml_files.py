@@ -93,7 +93,7 @@ def parsed_yaml(text: str, path: Path) -> object:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Ignore warnings about YAML anchors that are defined twice.
-            node = parser.compose(text)
+            node = parser.compose(_without_trailing_tabs(text))
         return None if node is None else _Values(path).value(node)
     except Unreadable:
         raise
@@ -103,11 +103,23 @@ def parsed_yaml(text: str, path: Path) -> object:
         mark = error.problem_mark or error.context_mark
         reason = " ".join(f"is not valid YAML: {error.problem or error.context or 'it cannot be read'}".split())
         line = None if mark is None else mark.line + 1
+        lines = "write spaces instead of tabs" if "'\\t'" in reason else "write 'key: value' lines"
         quotes = ", and put quotes around a value with #, which otherwise starts a comment" if "#" in text else ""
-        raise Unreadable(reason, f"write 'key: value' lines{quotes}", line) from error
+        raise Unreadable(reason, f"{lines}{quotes}", line) from error
     except Exception as error:  # Parts of the YAML parser may raise any exception.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise Unreadable(f"is not valid YAML: {reason}", "write 'key: value' lines") from error
+
+
+def _without_trailing_tabs(text: str) -> str:
+    """Return a text without blanks at the ends of lines if it has tabs; YAML allows such tabs, but the parser does not.
+
+    This also changes texts of several lines, in which blanks at the ends of lines mean nothing to this program.
+    """
+    if "\t" not in text:
+        return text
+    lines = text.splitlines(keepends=True)
+    return "".join(line.rstrip() + line[len(line.rstrip("\r\n")) :] for line in lines)
 
 
 class _Values:
