@@ -228,3 +228,26 @@ def test_age_and_temperature_are_factors_that_a_file_states(tmp_path):
                         ({"viscosity_factor": 2e3}, "viscosity_factor = 2000.0: is impossible")):  # fmt: skip
         with pytest.raises(SceneError, match=says):
             scenes.tube(**given)
+
+
+@pytest.mark.parametrize(
+    ("stones", "low", "high"),
+    [
+        (STONES, 0.004, 0.016),
+        ({"aggregate": "36 %", "sizes": "#57"}, 0.00475, 0.025),
+        ({"aggregate": "36 %", "sizes": ["5 mm", "20 mm"]}, 0.005, 0.02),
+        ({"aggregate": "36 %", "sizes": "20 mm"}, 0.004, 0.02),
+    ],
+)
+@pytest.mark.parametrize(("stress", "law"), [(60, "mortar"), (900, "plastic")])
+def test_the_command_that_simulates_a_cone_has_the_constants_and_stones_of_the_mix(
+    tmp_path, stones, low, high, stress, law
+):
+    """Concrete with the yield stress of 900 Pa would not slump under the law for mortar."""
+    constants = {"yield_stress": stress, "viscosity": "40 Pa s", "uncertainty": "10 %"}
+    path = written(tmp_path, {"density": 2300, "concrete": constants} | stones)
+    output = CliRunner().invoke(cli, ["mix", str(path)]).output
+    command = (
+        f"warpcrete run slump --method dem --law {law} --bulk-density 2300 --yield-stress {stress} --viscosity 40 "
+    )
+    assert f"{command}--size-min {low:g} --size-max {high:g}\n" in output

@@ -6,6 +6,9 @@ from flows import begin
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.suspension.aggregates import Aggregates
+from warpcrete.verification.suspensions import DENSITY, RADIUS, mortar_flow
+from warpcrete.verification.suspensions_friction import WIDTH
 
 FUNNEL = {
     "concrete": "own", "density": 2200.0, "viscosity": 10.0, "yield_stress": 5.0, "spacing": 0.0125,
@@ -57,6 +60,27 @@ def test_aggregates_that_have_left_stay_away_and_move_no_more(device):
     copies, left = 4, int(bodies.inside.sum())  # A quarter of the funnel is simulated.
     assert np.count_nonzero(surface.fields["aggregate"]) % (copies * left) == 0
     assert surface.vertices[:, 2].min() > -0.1
+
+
+@pytest.mark.parametrize("side", range(6))
+def test_the_volume_inside_is_that_without_the_caps_beyond_an_open_side(side):
+    """A sphere whose centre lies R / 2 before a side has a cap of the height R / 2 beyond it: 5 / 32 of its volume.
+
+    Caps beyond sides that are not open do not count.
+    """
+    axis, way = side // 2, 1 if side % 2 else -1
+    centres = np.zeros((3, 3))
+    centres[0, axis] = way * (6 * WIDTH - 0.5 * RADIUS)  # partly beyond the side
+    centres[1, axis] = way * (6 * WIDTH + 2 * RADIUS)  # entirely
+    centres[2, (axis + 1) % 3] = 6 * WIDTH - 0.4 * RADIUS  # partly beyond another side
+    radii = RADIUS * np.array([1.0, 1.5, 0.8])
+    bodies = mortar_flow((12,) * 3, WIDTH, Aggregates(centres, radii, DENSITY), "cpu", "float64").aggregates
+    share = radii**3 / np.sum(radii**3)
+    alone, other = 1 << side, 1 << (2 * ((axis + 1) % 3) + 1)
+    left = share[0] * 5 / 32 + share[1]
+    assert bodies.volume_inside(alone) == pytest.approx(1 - left)
+    assert bodies.volume_inside(alone | other) == pytest.approx(1 - left - share[2] * 5 / 32)
+    assert bodies.volume_inside(0) == pytest.approx(1.0)
 
 
 @pytest.mark.thorough
