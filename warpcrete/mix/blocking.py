@@ -218,8 +218,10 @@ def sand_share(mix: MixEntries) -> RuleVerdict:
     name, source = "sand", f"{JGJ}; {SHEN}; Tuutti 1976"
     share = mix.sand_share
     if share is None:
-        return RuleVerdict(name, "unknown", "the share of sand in the aggregate is not known",
-                           "add parts to the mix, with sand and gravel apart", source)  # fmt: skip
+        advice = "add parts to the mix, with sand and gravel apart"
+        if mix.parts:
+            advice = "name sand and gravel apart in parts, or state the share of the gravel, as in 'aggregate: 36 %'"
+        return RuleVerdict(name, "unknown", "the share of sand in the aggregate is not known", advice, source)
     words = (f"{100 * share:.3g} % of the aggregate; {100 * SAND_SHARES[0]:g} to {100 * SAND_SHARES[1]:g} % "
              f"are required, {100 * PUMPED_SAND_SHARES[0]:.3g} to {100 * PUMPED_SAND_SHARES[1]:g} % were "
              "pumped")  # fmt: skip

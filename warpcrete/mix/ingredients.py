@@ -7,7 +7,7 @@ from typing import Any
 from ..core.errors import quoted, refuse, suggested
 from ..core.inputs.amounts import amount, is_amount, unit_names
 from ..core.inputs.limits import warn
-from .stones import SIZE_NUMBERS, is_size_number, size_numbers
+from .stones import is_size_number, named_sizes, size_numbers
 
 HEAVY = {**dict.fromkeys(("barite", "baryte", "barytes"), 4200.0), **dict.fromkeys(("magnetite", "hematite"), 4900.0)}
 """Densities of heavy rocks [kg/m3]. An ingredient with such a word in its name, such as "barite sand", has the density
@@ -187,9 +187,11 @@ def _density(name: str, coarse: float) -> float | None:
 
 
 def is_coarse(name: str) -> bool:
-    """Return whether the name of an ingredient has a word for coarse aggregate, or the number of a size of stones."""
-    numbered = _noun(name) == "aggregate" and any(number in SIZE_NUMBERS for number in size_numbers(name))
-    return numbered or any(word in COARSE for word in _words(name))
+    """Return whether an ingredient is coarse aggregate, by a word in its name or by sizes that do not begin with 0."""
+    if any(word in COARSE for word in _words(name)):
+        return True
+    rock = _noun(name) in ("aggregate", "aggregates", "crushed") and "sand" not in _words(name)
+    return rock and named_sizes(name) is not None and re.search(r"\b0\s*[/-]", name) is None
 
 
 def _noun(name: str) -> str:

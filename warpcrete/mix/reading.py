@@ -23,7 +23,7 @@ from .ingredients import (
     water_mass,
 )
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
-from .stones import SIZE_NUMBERS, read_shape, read_sieve, read_sizes, size_numbers
+from .stones import SIZE_NUMBERS, named_sizes, read_shape, read_sieve, read_sizes, size_numbers
 
 T = TypeVar("T")
 PACKING = 0.57
@@ -123,19 +123,19 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
 
 
 def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple[float, float] | None:
-    """Return the sizes of the stones [m] that the names of the parts state by a number of ASTM C33, as in '#67 stone'.
+    """Return the sizes of the stones [m] that the names of the parts state, as in '#67 stone' or 'gravel 4/16'.
 
     The result is None if the mix has a sieve curve, or if no part has such a name. Of several sizes, the result reaches
     from the smallest to the largest.
     """
     if "sieve" in given:
         return None
-    numbers = [number for name in masses if is_coarse(name) for number in size_numbers(name)]
-    for number in numbers:
+    stones = [name for name in masses if is_coarse(name) or unusual_stones({name: 0.0}) is not None]
+    for number in (number for name in stones for number in size_numbers(name)):
         if number not in SIZE_NUMBERS:
             warn(f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or add "
                  "'sizes'")  # fmt: skip
-    sizes = [SIZE_NUMBERS[number] for number in numbers if number in SIZE_NUMBERS]
+    sizes = [found for name in stones if (found := named_sizes(name)) is not None]
     return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..core.errors import between, one_of, refuse, suggested
-from ..core.inputs.amounts import amount, bare_number
+from ..core.inputs.amounts import amount, bare_number, is_amount
 
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
@@ -26,6 +26,13 @@ SIZE_NUMBERS = {
 coarse aggregates)."""
 MARKED = re.compile(r"(?:#|\b(?:no|number|size)\b\.?)\s*([0-9]+)s?\b", re.IGNORECASE)
 """Pattern of a size number in the name of an ingredient, such as '#57', 'No. 57' or 'number 57'."""
+SIEVES = re.compile(
+    r"(?<![0-9./,])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)(?![0-9/]|\s*(?:in|\"))"
+)
+"""Pattern of two sieves in millimetres in the name of an ingredient, such as '4/16'. A fraction of an inch, such as
+'3/8', is none."""
+LARGEST = re.compile(r"(?<![0-9./,-])(?:[0-9]+[ -])?[0-9]+(?:/[0-9]+|[.,][0-9]+)?\s*(?:mm|cm|in\b|inch|\")")
+"""Pattern of a size with its unit in the name of an ingredient, such as '20 mm' or '3/4 in'."""
 STONES = r"\s+(?:(?:crushed|coarse|washed)\s+)*(?:stone|rock|limestone|granite|gravel|aggregate)s?\b"
 """Pattern of the words for stones that may follow a size number."""
 UNMARKED = re.compile(rf"\b([0-9]{{2,3}})s?{STONES}", re.IGNORECASE)
@@ -47,6 +54,26 @@ def size_numbers(name: str) -> list[str]:
 def is_size_number(name: str) -> bool:
     """Return whether a name consists of a known size number with a mark, such as '#57' or 'No. 57'."""
     return MARKED.fullmatch(name.strip()) is not None and size_numbers(name)[0] in SIZE_NUMBERS
+
+
+def named_sizes(name: str) -> tuple[float, float] | None:
+    """Return the smallest and the largest size of stones [m] that the name of an ingredient states, or None.
+
+    The sizes are those of a size number ('#67 stone'), two sieves in millimetres ('gravel 4/16', 'limestone 5-20 mm'),
+    or the largest size with its unit ('3/4 in rock', 'aggregate 20 mm').
+    """
+    found = [SIZE_NUMBERS[number] for number in size_numbers(name) if number in SIZE_NUMBERS]
+    if found:
+        return min(low for low, _ in found), max(high for _, high in found)
+    if (sieves := SIEVES.search(name)) is not None:
+        low, high = (1e-3 * float(each.replace(",", ".")) for each in sieves.groups())
+        if max(low, FINEST) < high <= COARSEST and high >= 2 * SMALLEST:
+            return low if low >= FINEST else SMALLEST, high
+    if (largest := LARGEST.search(name)) is not None and is_amount(largest[0].strip(), "m"):
+        high = amount("mix parts", largest[0].strip(), "m")
+        if 2 * SMALLEST <= high <= COARSEST:
+            return SMALLEST, high
+    return None
 
 
 def sizes_by_number(field: str, text: str) -> tuple[float, float] | None:
