@@ -90,8 +90,8 @@ def warp_force_function(scalar):
 
     @wp.func_native(LEADER)
     # `leader` returns the number of the first thread of a warp whose sphere touches a wall. It returns 32 if no sphere
-    # touches a wall, and -1 if spheres touch different walls. If `lanes` threads share a sphere, only those threads
-    # count whose numbers differ from that of the caller by a multiple of `lanes`.
+    # touches a wall, and -1 if spheres touch different walls. If `lanes` threads share a sphere, the function considers
+    # only threads whose numbers differ from the caller's number by a multiple of `lanes`.
     def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...
 
     @wp.func_native(WARP_TOTAL)

@@ -93,9 +93,9 @@ def bond_functions(scalar):
     ):
         """Return the new force, moment and state of a bond.
 
-        If the bond breaks, the returned force and moment are those that broke it. `force` consists of the shear force
-        vector and the tension [N], `moment` of the bending moment vector and the torsion [N m]. `stretch` is the exact
-        change of the distance between the centres in this step [m]. The approximation of `stretch` by the normal
+        If the bond breaks, the result contains the force and moment at which it broke. `force` consists of the shear
+        force vector and the tension [N], `moment` of the bending moment vector and the torsion [N m]. `stretch` is the
+        exact change of the distance between the centres in this step [m]. The approximation of `stretch` by the normal
         velocity times dt would count a rotation of the pair as stretch, with an error of first order in dt.
         """
         n = touch.normal

@@ -1,4 +1,4 @@
-"""Kernels that create bonds at existing contacts, and that give a random share of the bonds other parameters."""
+"""Kernels that create bonds at existing contacts, and that assign other parameters to a random share of the bonds."""
 
 import functools
 

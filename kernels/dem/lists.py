@@ -109,7 +109,8 @@ def transfer_kernel(
                         if old >= 0:
                             bond = old_pairs.bond[old]
                         if wp.static(healing):
-                            # The bond of an unbonded pair must start with zero force and moment if it forms later.
+                            # If the pair has no bond yet, a bond that forms later must start with zero force and
+                            # moment.
                             load = t.vec8()
                             if bond > 0:
                                 load = old_pairs.load[old]

@@ -36,7 +36,7 @@ BONDED_HYDRATED: int = wp.constant(7)  # column with the number of pairs joined 
 
 # DEPTH_MAX is the column with the largest ratio of an overlap to its permitted overlap. Between two spheres, the
 # permitted overlap is reached when the larger sphere contains the smaller one, or when the distance of the centres is
-# half that at first touch, whichever comes first. At a wall, the permitted overlap is the sphere's radius.
+# half their distance at first touch, whichever comes first. At a wall, the permitted overlap is the sphere's radius.
 DEPTH_MAX: int = wp.constant(8)
 BROKEN_TENSION: int = wp.constant(9)  # column with the number of bonds broken in tension since the start
 BROKEN_SHEAR: int = wp.constant(10)  # column with the number of bonds broken in shear since the start

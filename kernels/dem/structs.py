@@ -169,8 +169,8 @@ def array_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=t.vec4)
         built: wp.array(dtype=t.vec4)  # position and radius of each sphere when the neighbour lists were built [m]
 
-        # Centre of each sphere when its distance from fixed planes and pipes was last measured, and the distance from
-        # the nearest of them, reduced by a margin for rounding errors [m].
+        # Centre of each sphere when its distance from fixed planes and pipes was last measured, and its distance from
+        # the nearest of these planes and pipes, reduced by a margin for rounding errors [m].
         clear: wp.array(dtype=t.vec4)
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
         moment: wp.array(dtype=t.vec3)  # contact moment about each sphere's centre [N m]

@@ -164,7 +164,8 @@ RELATED = {
     "threads": ("processes", "the number of cases that run at once"),
     "processes": ("threads", "the number of threads of the run"),
 }
-"""Names of parameters and options for which some commands have another one with the same purpose, and its meaning."""
+"""Names that users may confuse: for each parameter or option, the name and the meaning of the one that some commands
+have instead."""
 
 
 def suggested(word: object, known: Iterable[object]) -> str:
@@ -217,7 +218,8 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 
 def whole(field: str, value: object, lower: int, upper: int | None = None) -> None:
-    """Raise :class:`SceneError` unless `value` is a whole number in [lower, upper], or of at least `lower`."""
+    """Raise :class:`SceneError` unless `value` is a whole number in [lower, upper], or at least `lower` if there is no
+    `upper`."""
     fits = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= lower
     if not fits or (upper is not None and value > upper):
         span = f"of at least {lower}" if upper is None else f"from {lower} to {upper}"

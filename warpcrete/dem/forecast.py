@@ -152,7 +152,8 @@ class _ShortenedCopy:
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
-            taken /= 2  # A packing to a given pressure packs twice: a trial packing, then the real one.
+            # A packing to a given pressure consists of two packings: a trial packing, then the real packing.
+            taken /= 2
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report

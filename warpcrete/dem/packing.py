@@ -57,11 +57,11 @@ class PackingReport:
     bodies: int
     spheres: int
     solid_fraction: float
-    """Solid volume over container volume; overlaps inside a clump count once."""
+    """Solid volume divided by the volume of the container; overlaps inside a clump count once."""
     coordination_number: float
     """Mean number of touching neighbours per body; walls do not count."""
     mean_overlap: float
-    """Mean over touching pairs of spheres of the overlap divided by the smaller radius."""
+    """Mean overlap of touching spheres; each overlap is divided by the radius of the smaller sphere."""
     largest_overlap: float
     pressure: float
     """Mean pressure from the contact forces between bodies [Pa]; contacts with the container's walls do not count."""

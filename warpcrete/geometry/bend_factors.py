@@ -1,4 +1,4 @@
-"""Factor of friction of all bends of a pipeline, from its entry in the pipeline's file."""
+"""Friction factor of all bends of a pipeline, read from the entry `bend_factor` of the pipeline's file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -22,7 +22,7 @@ class Bores:
     """Inner radius of a pipe along its axis: linear between given arc lengths, and constant beyond them."""
 
     places: tuple[float, ...]
-    """Arc lengths at which `radii` are given, increasing [m]."""
+    """Arc lengths along the axis at which the inner radii are given, in increasing order [m]."""
     radii: tuple[float, ...]
     """Inner radii of the pipe at the arc lengths `places` [m]."""
 

@@ -19,8 +19,8 @@ def clean(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Merge coincident corners of a mesh, then remove repeated triangles and triangles without area.
 
-    Of triangles with the same three corners, in whatever order, only the first one stays. The arrays of a mesh without
-    such faults are returned bit by bit unchanged.
+    If several triangles have the same three corners, in whatever order, only the first of these triangles stays. The
+    arrays of a mesh without such faults are returned bit by bit unchanged.
 
     Args:
         vertices: Corners [m], shape (v, 3).

@@ -33,9 +33,9 @@ MAX_BEND_ANGLE = 135.0
 """Largest accepted angle of a single bend [degrees]."""
 BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
 """Additional pressure loss of a bend, divided by the loss in straight pipe of the same length. The first tuple holds
-ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated flows
-through bends of 150 mm pipe at 30 m3/h, for the concrete no1, which has the highest loss of three concretes. The loss
-of a hose is computed from this table."""
+ratios of pipe diameter to bend radius, and the second tuple holds the additional loss at each ratio. Source: simulated
+flows through bends of 150 mm pipe at 30 m3/h, for the concrete no1, which has the highest loss of three concretes. The
+loss of a hose is computed from this table."""
 MAX_HOSE_KINK = 20.0
 """Largest angle [degrees] at the start of a hose, between the direction of the pipeline and the tangent of the curve
 through the hose's points. A larger angle is refused as a kink."""

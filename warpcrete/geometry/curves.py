@@ -25,7 +25,7 @@ def curve_through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
 
 
 def start_tangent(points: np.ndarray) -> np.ndarray:
-    """Return the unit tangent, at the first of `points` (n, 3), of the circle through the first three points."""
+    """Return the unit tangent of the circle through the first three of `points` (n, 3), at the first point."""
     chord = _unit(points[1] - points[0])
     if len(points) == 2:
         return chord
@@ -42,7 +42,7 @@ def _tangents(points: np.ndarray, first: np.ndarray) -> list[np.ndarray]:
 
 
 def _passing(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the unit tangent, at the middle one of three points, of the circle through them."""
+    """Return the unit tangent of the circle through three points, at the middle point."""
     one, other = here - before, after - here
     return _unit(_unit(one) * np.linalg.norm(other) + _unit(other) * np.linalg.norm(one))
 

@@ -171,7 +171,7 @@ class InnerSurface:
         """Return whether each facet is part of a lid, which closes an end of the pipe, shape (f,), bool.
 
         A facet is part of a lid if it lies across the axis, near an end of the pipe or beyond. `middles` are the
-        centres of the facets [m], and `normals` their unit normals, shape (f, 3) each.
+        centres of the facets [m], and `normals` are their unit normals, shape (f, 3) each.
         """
         s = self.axis.along(middles)
         tangents = self.axis.at(s)[1]
@@ -201,7 +201,7 @@ class InnerSurface:
 
         An open edge belongs to only one triangle of the inner surface. It is either the border of a hole in the mesh,
         or an edge that hides a part of the wall from the axis. `vertices` and `faces` are those of the original mesh.
-        `whole` holds the indices of the original triangles that have an area, and `kept` the indices of the inner
+        `whole` holds the indices of the original triangles that have an area, and `kept` holds the indices of the inner
         surface's triangles. Triangles without area are counted too, because they close edges that CAD programs have
         split.
         """

@@ -58,7 +58,7 @@ class Sections:
     ahead: np.ndarray
     """Unit vector along the bore at its start, shape (3,)."""
     points: np.ndarray
-    """Centres of the cross-sections [m], shape (n, 3)."""
+    """Centres of the bore's cross-sections [m], shape (n, 3)."""
     radii: np.ndarray
     """Radii of circles that have the same areas as the cross-sections [m], shape (n,)."""
 

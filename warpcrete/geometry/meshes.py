@@ -25,8 +25,8 @@ FARTHEST_WALL = 10.0
 """Length of the rays that search for a pipe's wall, divided by the pipe's radius."""
 FAN_ROTATION, RETRY_ROTATION = 0.382, 0.1
 """Two rotations of a fan of rays, each divided by the angle between two neighbouring rays. Every fan is turned by the
-first one, which keeps the rays away from the edges of regular tubes. If a ray meets no wall, the fan is turned further
-by the second one and tried again."""
+first rotation, which keeps the rays away from the edges of regular tubes. If a ray meets no wall, the fan is turned
+further by the second rotation and tried again."""
 ROUNDNESS_TOLERANCE = 0.01
 """A bore counts as cylindrical if the distance of its wall from the axis differs from the radius of a cylinder by at
 most this fraction of the cylinder's radius."""

@@ -247,8 +247,8 @@ class PipeWall(_Wall):
                 "ends without limit, so that the motion only changes friction and other shear forces at the wall; for "
                 "a tube that is lifted use MeshWall with axis.tube(radius)",
                 PlausibilityWarning,
-                # The warning names the line that creates the wall: skip this method and the constructor that
-                # `dataclass` has written.
+                # Let the warning name the line of code that creates the wall: skip the stack frames of this method and
+                # of the generated constructor.
                 stacklevel=3,
             )
 

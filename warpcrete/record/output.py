@@ -75,7 +75,7 @@ class RunFolder:
 
     @property
     def path(self) -> Path:
-        """Path of the folder."""
+        """Path of the run folder."""
         return Path(self.folder)
 
     def _holds_run(self) -> bool:

@@ -237,8 +237,8 @@ class RerunRecorder(Recorder):
     def _bars(self, values: np.ndarray) -> Any:
         """Return the heights of the bars of a bar chart as a tensor in Rerun's format.
 
-        A new tensor takes ten times as long to convert as a changed one. Therefore one tensor is kept for each number
-        of bars, and only its values are replaced.
+        The conversion of a new tensor takes ten times as long as the conversion of a changed tensor. Therefore one
+        tensor is kept for each number of bars, and only its values are replaced.
         """
         from rerun.components import TensorDataBatch
 

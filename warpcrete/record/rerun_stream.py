@@ -54,7 +54,7 @@ class RerunStream:
         self.live = live
         """URL of the viewer, or False if there is none or it has disconnected; True until a viewer is opened."""
         self.part = 0
-        """Number of the part of the file that is being written."""
+        """Number of the part of the recording's file that is being written."""
         self.recording_id = ""
         """Name by which viewers recognise the parts of one recording."""
         self._bind = bind

@@ -53,10 +53,10 @@ if TYPE_CHECKING:
             """Copy values from the host or from another array of the same shape."""
 
         def zero_(self) -> None:
-            """Set all values to zero."""
+            """Set all values of the array to zero."""
 
         def fill_(self, value: object) -> None:
-            """Set all elements to one value."""
+            """Set all elements of the array to one value."""
 
     def zeros(
         shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False

@@ -98,7 +98,8 @@ class CoreContention:
         if waited_time - self._waited_before <= CONTENTION_FRACTION * self._window_time:
             self._cores_suffice, self._suspected, self._backoff_time = True, False, BACKOFF_TIMES[0]
         elif not self._suspected:
-            # A single window with long waits may be a coincidence, so react only if the next one has long waits too.
+            # A single window with long waits may be a coincidence, so react only if the next window has long waits,
+            # too.
             self._cores_suffice, self._suspected = False, True
         else:
             self.contended, self._suspected = True, False

@@ -39,7 +39,8 @@ def arrays_of(name: str, root: object) -> Iterator[tuple[str, DeviceArray]]:
 
 
 def footprint(**roots: object) -> dict[str, int]:
-    """Return the device memory of each object [B]; an array that several objects use counts for the first one only."""
+    """Return the device memory of each object [B]; an array that several objects use counts only for the first of these
+    objects."""
     sizes: dict[str, int] = dict.fromkeys(roots, 0)
     counted: set[int] = set()
     for name, root in roots.items():

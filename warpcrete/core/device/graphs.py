@@ -21,7 +21,8 @@ begins, because Warp releases Python's interpreter lock while it frees memory.
 
 
 _collections: list[int] = []
-"""Generations of the garbage collections that started since the callback below was registered; at most one entry."""
+"""Generation of the latest garbage collection since the callback below was registered; empty before the first
+collection."""
 
 
 def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:

@@ -94,7 +94,7 @@ class StopAtSample:
     def _stop(self, signum: int, frame: FrameType | None) -> None:
         writing = bool(self.simulations) and all(simulation.finishing for simulation in self.simulations)
         if self.requested and signum == SIGHUP:
-            return  # Both the system and the shell send this signal when a terminal closes.
+            return  # Ignore a second SIGHUP: the system and the shell both send it when a terminal closes.
         if self.requested and not writing:
             raise KeyboardInterrupt
         self.requested = True

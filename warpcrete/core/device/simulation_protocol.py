@@ -18,7 +18,7 @@ class Stepped(Protocol):
 
     @property
     def steps(self) -> int:
-        """Number of completed steps."""
+        """Number of time steps that the run has completed."""
         ...
 
     def advance(self, until: float, /) -> None:

@@ -36,7 +36,7 @@ NAMES: dict[RGB, str] = {RUN: "orange", SECOND: "blue", THIRD: "green", THEORY: 
 
 
 def rgb(colour: RGB) -> tuple[float, float, float]:
-    """Return a colour as Matplotlib takes it: red, green and blue from 0 to 1."""
+    """Return a colour in the form that Matplotlib requires: red, green and blue from 0 to 1."""
     return colour[0] / 255, colour[1] / 255, colour[2] / 255
 
 

@@ -63,7 +63,7 @@ class Surface:
     """Triangulated surface of concrete; the corners of triangles are in anticlockwise order as seen from outside."""
 
     vertices: np.ndarray
-    """Positions of the vertices [m], shape (v, 3)."""
+    """Positions of the surface's vertices [m], shape (v, 3)."""
     faces: np.ndarray
     """Indices of the three vertices of each triangle, shape (f, 3)."""
     normals: np.ndarray
@@ -167,7 +167,7 @@ class _Net:
     """
 
     points: np.ndarray
-    """Positions of the vertices in d dimensions [m], shape (v, d)."""
+    """Positions of the surface's vertices in d dimensions [m], shape (v, d)."""
     fields: dict[str, np.ndarray]
     """Physical quantities at the vertices, averaged over adjacent nodes in concrete, each of shape (v,)."""
     sides: np.ndarray

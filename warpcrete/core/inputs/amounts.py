@@ -219,7 +219,8 @@ def unit_names(unit: str) -> list[str]:
 
 
 def written_unit(values: Iterable[object], unit: str) -> str | None:
-    """Return the unit in which all `values` are written, or None if they are written without a unit or in several.
+    """Return the unit in which all `values` are written, or None if they are written without a unit or in several
+    units.
 
     `unit` is the internal unit. Synonyms count as one unit: the result for "5 m³/h" is "m3/h".
     """

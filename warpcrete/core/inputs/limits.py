@@ -112,7 +112,7 @@ def limit_of(name: str, unit: str) -> Limit | None:
 
 
 def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
-    """Refuse an impossible value of `field`, and warn about an unlikely one.
+    """Refuse an impossible value of `field`, and warn about an unlikely value.
 
     The limits of the quantity `name` apply, or the limits of the quantity `field` if `name` is empty.
     """

@@ -19,7 +19,8 @@ from ..narrowing import is_host_array, is_list_or_tuple, is_mapping, is_numpy_nu
 from .fingerprints import fingerprint
 
 LONGEST_LIST = 20
-"""Maximum number of elements of an array or list that is recorded in full; a larger one is recorded as a hash."""
+"""Maximum number of elements of an array or list that is recorded in full; a larger array or list is recorded as a
+hash."""
 
 PACKAGE = Path(__file__).resolve().parents[2]
 

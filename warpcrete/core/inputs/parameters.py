@@ -179,7 +179,8 @@ class Field:
 
     @property
     def units(self) -> str:
-        """Unit in which the program computes with the field, as :func:`amount` takes it; "1" for a ratio."""
+        """Unit in which the program computes with the field, in the form that :func:`amount` requires; "1" for a
+        ratio."""
         return self.unit.strip() or "1"
 
     @property

@@ -20,7 +20,7 @@ class CheckpointedSimulation(SimulationBase):
     _checkpoint_time: float | None = None
     """Simulated time of the state in the checkpoint [s]; None if there is no checkpoint."""
     _resumed: RunRecord | None = None
-    """Data about the run from the checkpoint from which it goes on; None in a new run."""
+    """Data about the run, read from the checkpoint when the run was resumed; None in a new run."""
 
     def save(self, path: Path) -> None:
         """Write a checkpoint of the present state, which takes effect once all recorders have written their data.

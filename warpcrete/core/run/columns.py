@@ -9,7 +9,7 @@ import numpy as np
 from ..drawing.html import html_table
 
 HEAD = ("column", "unit", "first", "last", "smallest", "largest")
-"""Titles of the columns of the summary."""
+"""Titles of the columns in the summary of a table of numbers."""
 
 
 class Columns(dict[str, np.ndarray]):

@@ -34,7 +34,7 @@ class Ending:
     reason: str
     """One of the keys of :data:`REASONS`, such as "steady"."""
     message: str
-    """Sentence that the command prints."""
+    """Sentence about the end of the run, which the command prints."""
     time: float
     """Simulated time at which the run ended [s]; 0 if it ended while the concrete was packed or settled."""
 

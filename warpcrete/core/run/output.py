@@ -1,7 +1,8 @@
-"""Interface of the folder that a run writes, as the run loop sees it.
+"""Interface between the run loop and the folder that a run writes.
 
-The package `record`, which imports `core`, implements the interface. It registers its class here, and the run loop
-uses this class if the user states a folder as a path. It also registers the recorders of runs without a folder.
+The package `record`, which imports `core`, implements the interface and registers its class here. The run loop uses
+this class if the user states a folder as a path. The package `record` also registers the recorders of runs without a
+folder.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ class RunOutput(Protocol):
 
     @property
     def path(self) -> Path:
-        """Path of the folder."""
+        """Path of the folder for the output of a run."""
         ...
 
     def recorders(self, simulation: Any) -> Sequence[Any]:

@@ -42,14 +42,15 @@ class _Phase:
 
     name: str
     first: float
-    """Fraction done at the start. A resumed run begins at the fraction that an earlier process has done."""
+    """Fraction of the phase that was done at its start. A resumed run begins at the fraction that an earlier process
+    has done."""
     start: float
     shown: float
-    """Time of the last line or update of the bar."""
+    """Time of the last line, or of the last update of the progress bar."""
     called: float
     """Time of the last call of the progress callback."""
     last: float
-    """Fraction done in the last line."""
+    """Fraction of the phase that the last line reported as done."""
 
     @classmethod
     def at(cls, name: str, fraction: float, now: float) -> _Phase:

@@ -31,7 +31,7 @@ from .run import FinalState, Run
 from .wall_times import WallTimes
 
 DEFAULT_CHECKPOINT_INTERVAL = 60.0
-"""Wall time between two checkpoints of a run, unless the user sets it [s]."""
+"""Default wall time between two checkpoints of a run [s]."""
 MAX_KEPT_MEMORY = 2e9
 """Largest device memory of a run [B] for which the run keeps its final state for `run.save`."""
 
@@ -179,7 +179,7 @@ class Simulation(CheckpointedSimulation):
             if not self.prepared:
                 self.begin()
             run: Run = run_coroutine(self.running(), self.stepper.advance)
-        if run.interrupted and not self.stop_requested:  # If a caller requested the stop, it tells the user itself.
+        if run.interrupted and not self.stop_requested:  # If a caller requested the stop, the caller informs the user.
             self._tell_interruption(run)
         if run.folder is None and self.rows:
             self._keep_final_state(run)

@@ -9,7 +9,7 @@ class WallTimes:
 
     def __init__(self) -> None:
         self.phases: dict[str, float] = {}
-        """Wall time of each phase of the run that has ended [s], by the phase's name, such as "packing"."""
+        """Wall time of each completed phase of the run [s], by the phase's name, such as "packing"."""
         # Wall-clock time at which the last checkpoint was written or read [s].
         self._saved_at = time.perf_counter()
         self._started: float | None = None  # Wall-clock time at which this process began to run the simulation [s].

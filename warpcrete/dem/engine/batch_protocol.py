@@ -22,7 +22,7 @@ class BatchArrays(Protocol):
     scalar: Scalar
     """Scalar type of the kernels, `wp.float32` or `wp.float64`."""
     device: wp.Device
-    """Warp device of all arrays."""
+    """Warp device on which all arrays of the batch are stored."""
     parallel: bool
     """True if kernels for GPUs are used, which compute each sphere or body in a thread of its own."""
     threads: int

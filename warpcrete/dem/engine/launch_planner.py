@@ -105,8 +105,8 @@ class LaunchPlanner:
 
         All scenes with stale lists must be rebuilt. On a GPU, the rebuild of several scenes takes hardly longer than
         the rebuild of one scene. A GPU therefore also rebuilds those scenes whose lists will soon be stale. `among`
-        contains the numbers of the running scenes, `flags` the control flags of all scenes, and `sort_every` the number
-        of steps between two re-sortings of each scene's bodies.
+        contains the numbers of the running scenes, and `flags` contains the control flags of all scenes. `sort_every`
+        contains, for each scene, the number of steps between two re-sortings of its bodies.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NO_SCENES
@@ -145,8 +145,8 @@ class LaunchPlanner:
         stable time step of the scenes that need an estimate. A GPU that can rebuild neighbour lists without the host
         also rebuilds stale lists after each piece.
 
-        The arguments are arrays with one row for each scene: `flags` contains the control flags, `clock` the times, and
-        `rows` the parameters.
+        The arguments are arrays with one row for each scene: `flags` contains the control flags, `clock` contains the
+        times, and `rows` contains the parameters.
         """
         # Convert to plain Python numbers. For one scene, arithmetic on them is ten times as fast as with NumPy, and the
         # GPU idles while the host computes.

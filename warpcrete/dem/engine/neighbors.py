@@ -232,8 +232,8 @@ class NeighborLists:
         self._keep_old(np.arange(b.count))
         stages = self._rebuild(False).kernel_stages()
         # This case occurs only in batches: the whole batch has so many spheres that one thread searches for each
-        # sphere, but the scenes to rebuild have so few that `OCTANTS` threads search for each. Add the kernels for this
-        # case.
+        # sphere, but the scenes to rebuild have so few spheres that `OCTANTS` threads search for each sphere. Add the
+        # kernels for this case.
         if b.parallel and self._searchers == 1 and b.count > 1:
             stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
         return [*stages, *sorting_kernels(b)]
@@ -379,7 +379,7 @@ class NeighborLists:
         return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
 
     def _transfer(self, old: Arguments) -> Recordable:
-        """Return the launch that copies contact history from the old neighbour lists to the new ones.
+        """Return the launch that copies contact history from the old neighbour lists to the new neighbour lists.
 
         On a CPU this is a group of launches, one for each thread, which also write the neighbours into the new lists.
         """

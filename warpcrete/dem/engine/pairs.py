@@ -35,8 +35,8 @@ def pairs_of(
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # If a pair is listed at both spheres, the array `other` is negative in one of its two entries; use the other
-        # entry. If the spheres belong to the same CPU thread, a half list contains the pair only once; always use that
-        # entry.
+        # If a pair is listed at both spheres, it has two entries in the array `other`, and one of them is negative; use
+        # the entry that is not negative. If the spheres belong to the same CPU thread, a half list contains the pair
+        # only once; always use that entry.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

@@ -40,7 +40,8 @@ class Regrouping:
         self._few = 0
 
     def __call__(self, steppers: Sequence[SceneStepper]) -> None:
-        """Move the running scenes, which `steppers` advance, to a new batch if they are few and memory allows."""
+        """Move the running scenes, which `steppers` advance, to a new batch, if they contain few spheres and the memory
+        suffices."""
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
         if not batch.parallel or len(steppers) == batch.count or spheres > LARGEST_SHARE * batch.sphere_count:

@@ -168,7 +168,7 @@ class _Drive:
 
         The first variant rebuilds stale neighbour lists. The second does the same and then estimates stable time steps.
         A GPU can rebuild lists without the host only for a batch of one scene. For several scenes, the first variant is
-        therefore None, and the second only estimates. On a CPU, both are None.
+        therefore None, and the second variant only estimates stable time steps. On a CPU, both variants are None.
         """
         batch = stepper.batch
         batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)

@@ -23,7 +23,7 @@ def sort_bodies(batch: Batch, due: np.ndarray, old_place: DeviceArray, new_place
     """Re-sort the bodies of all scenes marked in `due`, shape (scenes,), along a Morton curve.
 
     Writes two arrays of shape (spheres,): `old_place` maps the new index of each sphere to its old index, and
-    `new_place` maps the old index to the new one.
+    `new_place` maps the old index to the new index.
     """
     b, device, kernels, permute = batch, batch.device, order_kernels(batch.scalar), permute_kernels(batch.scalar)
     bodies = b.body_count

@@ -32,9 +32,9 @@ It equals the default number of steps between two estimates of the stable step.
 NEAR_MARGIN = 0.25
 """Largest gap between a sphere and a triangle that is listed as a near candidate, divided by the skin of the lists.
 
-A sphere tests only its near candidates for contact, until it has moved by this gap. A small fraction means frequent
-selection, a large one many tests: in a reducer, CPU steps with the fractions 0.1, 0.5 and 1 take 5, 9 and 15 % longer
-than with 0.25.
+A sphere tests only its near candidates for contact, until it has moved by this gap. With a small fraction, near
+candidates are selected often; with a large fraction, many candidates are tested: in a reducer, CPU steps with the
+fractions 0.1, 0.5 and 1 take 5, 9 and 15 % longer than with 0.25.
 """
 THREADS_PER_LINK = 0.5
 """Number of GPU threads that compute contact forces between spheres, divided by the number of all links.

@@ -326,19 +326,19 @@ class State:
 
     @property
     def steps(self) -> int:
-        """Number of completed steps."""
+        """Number of time steps that the scene has completed."""
         if self._batch is None:
             return int(self.flags.numpy()[0, int(STEPS)])
         return int(self._batch.host_flags()[self.index, int(STEPS)])
 
     @property
     def dt(self) -> float:
-        """Size of the next time step [s]."""
+        """Size of the scene's next time step [s]."""
         return self._clock()[int(DT)]
 
     @property
     def stable_step(self) -> float:
-        """Stable time step according to the latest estimate [s]."""
+        """Stable time step of the scene according to the latest estimate [s]."""
         return self._clock()[int(STABLE)]
 
     def _clock(self) -> list[float]:

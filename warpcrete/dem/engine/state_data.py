@@ -72,9 +72,9 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    # If contacts cannot form bonds during a run, a pair with a broken bond behaves like a pair without a bond. It
-    # depends on the time of the last rebuild of the neighbour lists whether the broken bond is still stored, so the
-    # hash must treat both pairs alike.
+    # If contacts cannot form bonds during a run, a pair with a broken bond behaves like a pair without a bond. The
+    # broken bond is stored until the next rebuild of the neighbour lists, whose time may vary. The hash must therefore
+    # treat pairs with and without a stored broken bond alike.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0

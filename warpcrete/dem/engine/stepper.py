@@ -145,12 +145,12 @@ class Stepper:
 
     @property
     def steps(self) -> int:
-        """Number of completed steps."""
+        """Number of time steps that the scene has completed."""
         return self.state.steps
 
     @property
     def dt(self) -> float:
-        """Size of the next time step [s]."""
+        """Size of the scene's next time step [s]."""
         return self.state.dt
 
     def change(self, **settings: float) -> None:

@@ -68,7 +68,7 @@ class Structure:
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Copy the data of the lubrication layer of a scene that has moved from another batch to this one.
+        """Copy the data of the lubrication layer of a scene that has moved from another batch to this batch.
 
         The scene had the index `index` in the batch of `other` and has the index `s` in this batch. The copied values
         are the gained yield stress [Pa] and the travel of the wall at the time of the rest [m].

@@ -27,7 +27,7 @@ RESCALE = wp.constant(0)
 class HertzMindlin(ContactLaw):
     """Elastic spheres in Hertz-Mindlin contact, with Coulomb friction and a constant coefficient of restitution.
 
-    At the overlap d the normal force is 4/3 E* sqrt(R* d) d and the shear stiffness 8 G* sqrt(R* d). Here R* is the
+    At the overlap d the normal force is 4/3 E* sqrt(R* d) d and the shear stiffness is 8 G* sqrt(R* d). Here R* is the
     reduced radius, E* the effective modulus and G* the effective shear modulus.
     """
 

@@ -4,9 +4,10 @@
 A sphere's radius includes its shell. Where only shells overlap, the mortar transmits a weak spring force, a yield
 stress and a viscous drag. Once the cores meet, the stiff spring of the aggregates acts as well.
 
-All mortar stresses act on the area A = pi r^2, with the radius r of the smaller sphere, over the thickness h of the two
-shells. Mortar of modulus E_m, yield stress tau_0 and plastic viscosity mu has a normal spring of stiffness A E_m/h and
-a normal drag 3 mu A/h (Trouton's ratio). In shear it yields at tau_0 A and has the drag mu A/h.
+The mortar between two cores is a disc: its area is A = pi r^2, where r is the radius of the smaller sphere, and its
+thickness is the thickness h of the two shells. Mortar of modulus E_m, yield stress tau_0 and plastic viscosity mu has a
+normal spring of stiffness A E_m/h and a normal drag 3 mu A/h (Trouton's ratio). In shear it yields at tau_0 A and has
+the drag mu A/h.
 
 Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at the
 stress sqrt(3) tau_0 (von Mises), and a bent disc yields at the moment 4/3 r^3 sqrt(3) tau_0. The elastic and viscous

@@ -1,10 +1,11 @@
 """Trial of contact laws from outside of this package: forces, energies and reach in contacts of two bodies.
 
 A kernel moves two equal spheres, or a sphere and a wall, along prescribed paths and calls the functions of the law as a
-run does. The checks compare what the functions return. They know nothing of the law itself, so they hold for any law:
+run does. The checks compare what the functions return. They do not use the formulas of the law, so they hold for any
+law:
 
 - The work that `force` does along a path is the change of `energy` plus the energy lost.
-- `stiffness` returns at least half of what `force` shows, because time steps follow from it.
+- `stiffness` returns at least half of the stiffness that follows from `force`, because this value limits the time step.
 - A force at rest has no part along the contact plane, and friction and dashpots act against the motion.
 - All laws of a scene begin to push at the same overlap. This overlap is twice the thickness of a coat.
 """
@@ -26,9 +27,9 @@ from .base import ContactLaw, own_laws
 from .own import check_object, explained, packing_law
 
 STEPS = 2000
-"""Number of steps in which a path reaches the deepest overlap."""
+"""Number of steps in which the path of a trial reaches its deepest overlap."""
 DEEPEST = 0.5
-"""Deepest overlap of a path, divided by the radius."""
+"""Deepest overlap on the path of a trial, divided by the radius of the spheres."""
 FIRST_STEP = 60
 """Step from which work and energy are compared; before it, few steps are too coarse for a force that jumps."""
 ENERGY_TOLERANCE = 0.05
@@ -38,7 +39,7 @@ TOLD_SHARE = 0.5
 ONSET_TOLERANCE = 0.01
 """Largest difference between the overlaps at which two laws begin to push, divided by the radius."""
 SLOW, PROBE = 1e-4, 1e-2
-"""Speeds of a slow path and of an impact, divided by the root of `stress_scale` over the density."""
+"""Speeds of a slow path and of an impact, divided by the square root of `stress_scale` / density."""
 ROUNDING = 1e-3
 """Smallest fraction of a force, or of an energy, that is too large to be a rounding error."""
 NORMAL, ALONG = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
@@ -52,9 +53,9 @@ class Circumstances:
     """Bodies of a scene for which contact laws are tried."""
 
     radius: float
-    """Radius of the spheres [m]."""
+    """Radius of the spheres with which a contact law is tried [m]."""
     density: float
-    """Density of the spheres [kg/m3]."""
+    """Density of the spheres with which a contact law is tried [kg/m3]."""
     bonds: bool
     """True if the scene has bonds; contact laws are then called for pairs that do not touch."""
     losses: bool
@@ -66,7 +67,7 @@ class Circumstances:
 
     @property
     def mass(self) -> float:
-        """Mass of one sphere [kg]."""
+        """Mass of one sphere in the trial of a contact law [kg]."""
         return self.density * 4 / 3 * math.pi * self.radius**3
 
 
@@ -234,7 +235,7 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             "subtract this constant",
         )
     # While the gap closes, a dashpot increases the force; while the gap opens, it decreases the force by the same
-    # amount. The mean of the forces on both ways is therefore the force of the springs.
+    # amount. The mean of these two forces is therefore the force of the springs.
     spring = 0.5 * (found.push[:, : STEPS + 1] + found.push[:, : STEPS - 1 : -1])
     slope = np.diff(spring[:, FIRST_STEP:]) / np.diff(depth[FIRST_STEP : STEPS + 1])
     told = np.maximum(found.stiffness[:, FIRST_STEP:STEPS, 0], found.stiffness[:, FIRST_STEP + 1 : STEPS + 1, 0])

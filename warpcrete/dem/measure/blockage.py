@@ -173,9 +173,9 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     """Return the smallest advance of any part of the concrete [m].
 
     The concrete is divided along the pipe into parts of equal volume. The advance of a part is the volume-weighted
-    median of the advances of its aggregates. `before` and `after` are arc lengths [m] and `volume` the volumes [m3] of
-    all aggregates, shape (n,). Aggregates that were already past the arc length `end` [m] of the pipe's outlet do not
-    count.
+    median of the advances of its aggregates. `before` and `after` are the arc lengths [m] of all aggregates before and
+    after the motion, and `volume` holds their volumes [m3]; each array has the shape (n,). Aggregates that were already
+    past the arc length `end` [m] of the pipe's outlet do not count.
     """
     inside = np.flatnonzero(before <= end)
     if len(inside) == 0:
@@ -200,7 +200,7 @@ def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.
     """Return forces along the pipe between touching spheres, where they act, and the pairs of bodies in strong contact.
 
     - The axial part of the normal force of each touching pair [N], shape (m,).
-    - The arc lengths of both sphere centres of each pair, the lower one first [m], shape (m, 2).
+    - The arc lengths of both sphere centres of each pair, the lower arc length first [m], shape (m, 2).
     - The indices of the two bodies of each strong contact in the body arrays, shape (k, 2). The normal force of a
       strong contact exceeds the mean normal force.
     """

@@ -57,7 +57,7 @@ RINGS = 10
 """Number of rings of a velocity profile between the axis and the wall."""
 STRETCH = (0.2, 0.8)
 """Two fractions of the number of bodies, counted along the pipe from the rear. A velocity profile is averaged over the
-bodies between them, because the velocity differs near both ends of the concrete."""
+bodies between these two fractions, because the velocity is different near the ends of the concrete."""
 ENERGIES = {
     "kinetic_energy": ("kinetic [J]", RUN),
     "elastic_energy": ("elastic [J]", SECOND),

@@ -28,7 +28,7 @@ class ContactSums:
     coordination_number: float
     """Coordination number: mean number of touching neighbours per body; NaN if it was not requested."""
     mean_overlap: float
-    """Mean over touching pairs of the overlap divided by the smaller radius."""
+    """Mean overlap of touching spheres; each overlap is divided by the radius of the smaller sphere."""
     largest_overlap: float
     deepest: float
     """Largest overlap of any contact, divided by the overlap up to which contact laws are meaningful.

@@ -222,7 +222,7 @@ QUANTITIES = (
              meaning="Lacey's mixing index of large and small stones at the end: 0 if they are separate, 1 if mixed "
                      "at random"),
 )  # fmt: skip
-"""Segregation results of a run; all values but `segregation_at_start` are those at the end."""
+"""Segregation results of a run; all values except `segregation_at_start` are measured at the end of the run."""
 
 
 def words(run: Any) -> str:

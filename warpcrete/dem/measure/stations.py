@@ -32,7 +32,7 @@ COLUMNS = (*MEASURED, *PROFILE)
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
 """Units of the columns of a table of stations (slices of a pipe). `place` is the arc length of a slice. `pressure` is
-the mean normal stress, and `axial_stress` the normal stress along the pipe, which transmits the piston's force; both
+the mean normal stress, and `axial_stress` is the normal stress along the pipe, which transmits the piston's force; both
 are positive in compression. `wall_stress` is the shear stress of the wall against the flow. `velocity` is the mean
 velocity of the solids along the pipe. The columns of `PROFILE` contain the mean velocity in a ring; their names end
 with the mean radius of the ring, divided by the pipe's radius."""

@@ -74,9 +74,9 @@ class PlanePatch(Patches):
 class PipePatches(Patches):
     """Division of a pipe wall into stations, which are rings of patches around the axis.
 
-    The stations follow one another along the pipe. All have the same number of patches, and patches are numbered
-    station by station. Angles around the axis are 0 on the outside of the pipe's bends (in their plane, away from the
-    centre). In a straight pipe, the angle 0 is the direction of the axis' normal vector.
+    The stations follow one another along the pipe. All stations have the same number of patches, and patches are
+    numbered station by station. Angles around the axis are 0 on the outside of the pipe's bends (in their plane, away
+    from the centre). In a straight pipe, the angle 0 is the direction of the axis' normal vector.
     """
 
     def __init__(self, wall: PipeWall, side: float | None) -> None:

@@ -57,7 +57,7 @@ def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
 def inside(wall: WornWall, scene: Any) -> np.ndarray:
     """Return a mask of the patches that concrete can touch, shape (patches,).
 
-    In a mesh, these are the patches that are visible from the axis of the pipe; in other walls, all patches.
+    In a mesh, these are the patches that are visible from the axis of the pipe. In other walls, these are all patches.
     """
     if not isinstance(wall.patches, MeshPatches):
         return np.ones(len(wall.done), bool)

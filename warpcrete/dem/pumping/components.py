@@ -38,7 +38,7 @@ def linear_of(given: Any) -> Contact:
 
 
 def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
-    """Return the contact law on pipe and piston, by pair of materials.
+    """Return the contact law on pipe and piston, in a dictionary whose keys are pairs of materials.
 
     The result is empty if walls follow the same law as contacts between aggregates.
     """

@@ -21,8 +21,8 @@ from .parameter_groups import BY_ITSELF, EnergyBalance, FixedTimeStep, Precision
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
-"""Default contact modulus [Pa] of the laws for which Zhan's 1e5 Pa is too soft: the cores of mortar-covered spheres
-must be stiffer than their shells."""
+"""Default contact modulus [Pa] of the laws for which the modulus of Zhan, 1e5 Pa, is too small: the cores of
+mortar-covered spheres must be stiffer than the shells."""
 LAW_FRACTION = {"mortar": 0.66, "plastic": 0.66}
 """Solid fraction of packings, by contact law; laws that are not listed use DEFAULT_FRACTION.
 

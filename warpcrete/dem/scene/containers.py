@@ -35,10 +35,10 @@ class PipeContainer:
     """Container that is the first `length` of a pipe along its axis, closed by a plane at either end.
 
     A round pipe of constant radius is described by `radius` alone. In other pipes, such as a reducer or a pipe of few
-    facets, the mesh `bore` is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area.
-    If the radius varies, `bores` gives the radius as a function of arc length, so that aggregates are placed evenly
-    over the volume. If the cross-section is not round, `clear` gives the radii of the largest circles about the axis
-    that lie inside the bore; aggregates are placed within these circles.
+    facets, the mesh `bore` is the wall; `radius` is then the smallest radius, and `area` is the mean cross-sectional
+    area. If the radius varies, `bores` gives the radius as a function of arc length, so that aggregates are placed
+    evenly over the volume. If the cross-section is not round, `clear` gives the radii of the largest circles about the
+    axis that lie inside the bore; aggregates are placed within these circles.
     """
 
     axis: Axis

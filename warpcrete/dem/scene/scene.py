@@ -197,7 +197,7 @@ class Scene(Parametrised):
     fill: Fill | None = None
     """Aggregates that are packed into a container before the start."""
     walls: tuple[Wall, ...] = ()
-    """Planes, pipes and meshes, each with its own name; they may move."""
+    """Walls of the scene: planes, pipes and meshes, each with its own name. Walls may move."""
     drives: tuple[AxisDrive, ...] = ()
     """Constant forces [N] on groups of bodies along a pipe axis."""
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
@@ -232,7 +232,8 @@ class Scene(Parametrised):
     precision: str = "float32"
     """Precision of positions, velocities and forces: `float32` or `float64`."""
     energy_balance: bool = False
-    """True to sum all dissipated energy, so that the energy balance can be checked; costs a few per cent of speed."""
+    """True to sum all dissipated energy, so that the energy balance can be checked; this makes a run a few per cent
+    slower."""
     wear: Wear | None = None
     """Settings for measuring the wear of walls; None to leave it out."""
     blockage: Blockage | None = None
@@ -248,7 +249,7 @@ class Scene(Parametrised):
     stations: Stations | None = None
     """Slices of a pipe in which stresses, solid fraction and velocities are measured."""
     published: Published | None = None
-    """Published values that reports show beside the results."""
+    """Published values that reports show next to the results."""
     remarks: tuple[str, ...] = ()
     """Simplifications of the scene, shown to the user before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -273,7 +274,7 @@ class Scene(Parametrised):
         flow = np.pi * self.pipe.radius**2 * self.pipe.velocity
         name = f"{self.name} {self.pipe.name}"
         if self.parameters.get("contact") is not None:
-            # Another contact law replaces the contact parameters of the concrete.
+            # Name the contact law that the user chose: it replaces the contact parameters of the concrete.
             name, concrete = f"{name}, contact law {type(self.contact).__name__}", ""
         return pumping_caption(name, self.pipe.radius, concrete, flow)
 

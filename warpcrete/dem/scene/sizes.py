@@ -57,7 +57,7 @@ class Uniform:
 class SieveCurve:
     """Grading curve of a mix design: the fraction of the mass that passes each sieve opening.
 
-    Between two openings the mass is distributed evenly over the logarithm of the size.
+    Between two openings, the mass fraction rises linearly with the logarithm of the size.
     """
 
     openings: tuple[float, ...]
@@ -121,8 +121,8 @@ class SieveCurve:
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return `count` random sizes [m].
 
-        Between two openings, the mass is spread evenly over the logarithm of the size d, so the number of grains per
-        size is proportional to d^-4. Inverting the cumulative distribution of d turns uniform random numbers into
+        Between two openings, the mass fraction rises linearly with the logarithm of the size d, so the number of grains
+        per size is proportional to d^-4. Inverting the cumulative distribution of d turns uniform random numbers into
         sizes.
         """
         openings, part = np.array(self.openings), np.diff(self.passing)

@@ -32,7 +32,7 @@ class Stations:
     wall: str = "pipe"
     """Name of the wall on which the shear stress is measured."""
     origin: float = 0.0
-    """Arc length that counts as zero in the results [m]."""
+    """Arc length along the pipe that counts as zero in the results of the slices [m]."""
     middle: tuple[float, float] | None = None
     """Arc lengths between which the pipe is not straight (bend or taper) [m]; None if it is straight everywhere."""
     each_row: bool = True
