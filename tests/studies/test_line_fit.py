@@ -119,7 +119,7 @@ def test_a_layer_without_yield_stress_stays_without():
     assert fit.constants[1].value == pytest.approx(0.0, abs=1e-6)
     assert fit.constants[0].value == pytest.approx(speeds @ stresses / (speeds @ speeds), rel=1e-3)
     text = "\n".join(fit_lines(fit, plain))
-    assert "slip yield 0 Pa (fitted without it, because the points would give a negative one)" in text
+    assert "slip yield 0 Pa (left out of the fit, because the points would give a negative value)" in text
     # The gauge has one error of 4 % at all flows. The error of its readings is that of the scatter about a straight
     # line, with one degree of freedom, and of three assumed readings with 1 %. The layer may have the yield stress of
     # the error of the line's intercept with the axis. Measured difference: 5e-13.
@@ -146,12 +146,12 @@ def test_factors_of_student(freedom, factor):
 @pytest.mark.parametrize(
     ("points", "says"),
     [
-        (taps()[:1], r"^fit = '1 different point': is too few: 2 points determine the viscosity of the slip layer, 3 "
-         r"at two flows also its yield stress, and 4 at two places also the friction of bends; measure at more"),
+        (taps()[:1], r"^fit = '1 different point': is too few: the viscosity of the slip layer needs 2 points, its "
+         r"yield stress needs 3 points at two or more flows, and .* needs 4 points at two or more places; measure at"),
         ([Tap(0.0, 1e5, 0.01 * k, 2) for k in (1, 2, 3)],
          r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
         ([Tap(0.0, 8e5, 0.005, 2), Tap(0.0, 7.5e5, 0.01, 3), Tap(0.0, 7.4e5, 0.02, 4)], r"is impossible"),
-        ([Tap(0.0, 4e7, 0.01, 2), Tap(60.0, 3e7, 0.01, 3)], r"more friction than a concrete of 60 Pa s and 80 Pa has"),
+        ([Tap(0.0, 4e7, 0.01, 2), Tap(60.0, 3e7, 0.01, 3)], r"larger than that of a concrete of 60 Pa s and 80 Pa"),
     ],
 )  # fmt: skip
 def test_points_that_do_not_suffice_are_refused(points, says):
@@ -281,7 +281,7 @@ def test_a_pasted_fit_gives_the_pressure_of_the_fitted_line(tmp_path):
     pasted = CliRunner().invoke(cli, call, catch_exceptions=False).output
     pressures = [float(x.split("pressure at the pump ")[1].split(" bar")[0]) for x in (fitted, pasted)]
     assert pressures[1] == pytest.approx(pressures[0], rel=1e-3)
-    assert "slip yield 0 Pa (fitted without it, because the points would give a negative one)" in fitted
+    assert "slip yield 0 Pa (left out of the fit, because the points would give a negative value)" in fitted
 
 
 @pytest.mark.parametrize("factors", [{}, {"viscosity_factor": 2, "yield_factor": 1.5}])
@@ -408,7 +408,7 @@ def test_pressures_that_grow_along_the_line_are_refused():
         if fine:
             by_scatter(flat, TRUE, points)
         else:
-            with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: must be below that of line 2"):
+            with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: must be lower"):
                 by_scatter(flat, TRUE, points)
 
 

@@ -63,7 +63,7 @@ def test_one_flow_leaves_the_band_at_this_flow_and_widens_it_at_others():
 def test_the_report_compares_the_fit_with_what_was_expected():
     before = replace(TRUE, slip_viscosity=200.0)
     text = "\n".join(fit_lines(fit_line(KNOWN, before, taps(), known(before, 1.5)), KNOWN))
-    assert "times that expected from the concrete's file; outside of the band expected from it: slip viscosity" in text
+    assert "times the value expected from the concrete's file; outside the expected band: slip viscosity" in text
 
 
 NARROWER = line_of({"diameter": "150 mm", "parts": [{"straight": 5}, {"reducer": "125 mm"}, {"straight": 150}]})

@@ -76,7 +76,7 @@ def test_a_figure_of_a_study_has_the_wanted_axes_and_units(tmp_path):
     for given, words in (
         (
             ("velocity",),
-            "quantity = 'velocity': is no number in the results of this study; must be one of pressure, "
+            "quantity = 'velocity': is not the name of a number in the results of this study; must be one of pressure, "
             "pressure_theory",
         ),
         ((None, "flw"), "x = 'flw': must be one of flow, yield_stress"),
@@ -121,7 +121,7 @@ def test_a_figure_shows_any_number_in_the_results_of_the_runs(tmp_path):
     assert study.plot("contacts", x="flow").axes[0].get_ylabel() == "contacts"
     assert "end_pressure" not in study.markdown() and list(study.rows()[0]) == list(flows_of(tmp_path).rows()[0])
     for name in ("finished", "name", "end_presure"):
-        with pytest.raises(SceneError, match=f"^quantity = '{name}': is no number in the results of this study"):
+        with pytest.raises(SceneError, match=f"^quantity = '{name}': is not the name of a number in the results"):
             study.plot(name)
 
 

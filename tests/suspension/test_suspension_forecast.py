@@ -30,7 +30,7 @@ def test_the_steps_of_a_mortar_with_aggregates_are_foreseen_by_the_mortar_alone(
     scene = scenes.slump(**SLUMP)
     course = course_of(Simulation(scene, device="cpu"))
     assert course.duration == pytest.approx(0.1) and course.time_step < 0.5 * scene.time_step
-    assert course.remarks[0].startswith("time and steps are those of the mortar alone")
+    assert course.remarks[0].startswith("the forecast of time and steps is for the mortar alone")
     assert not any("stopped" in remark for remark in course.remarks)
 
 

@@ -119,7 +119,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
                      "--help)"]  # fmt: skip
         if given.guessed and settings["fit"] is None:
             said += ["", "a slump or spread alone says little about the slip layer: the parts of the mix give a better "
-                     "estimate, which may lie far from this one (warpcrete mix --help)"]  # fmt: skip
+                     "estimate, which may differ much from this one (warpcrete mix --help)"]  # fmt: skip
         if fit is not None and out is not None:
             said += ["", *write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)]
         _finish(said, pipes, given, out, settings)
@@ -295,7 +295,8 @@ def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
         found += [
             "",
             f"another estimate of the slip layer, {concrete.slip_viscosity:.3g} Pa s/m from {eta.way}, would "
-            f"give {pressure / 1e5:.3g} bar{beside(line.customary, 'psi', pressure)}; a measured layer decides",
+            f"give {pressure / 1e5:.3g} bar{beside(line.customary, 'psi', pressure)}; measure the layer "
+            "to decide between them",
         ]
     return found
 

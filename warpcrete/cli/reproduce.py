@@ -21,8 +21,8 @@ def run(
         if resume is not None:
             if paper is not None or out is not None or device is not None or quick or seeds != 1 or only or known:
                 raise click.UsageError(
-                    f"resume = '{resume}': a reproduction continues with its own settings; leave out all options other "
-                    "than --processes"
+                    f"resume = '{resume}': a reproduction continues with its own settings, and only --processes can be "
+                    "changed; leave out everything else"
                 )
             if not (resume / RECORD).is_file():
                 raise RunFolderError(

@@ -188,7 +188,7 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
         return [
             (
                 "pipeline, Eq. 13",
-                "not known; it needs the pressure plateau of a finished run, or a warning states why it failed",
+                "not known: it needs the pressure plateau of a finished run; after a finished run, a warning says why",
             )
         ]
     estimate = run.result["pipeline_estimate"]

@@ -264,8 +264,8 @@ def mix_in(found: NamedConcrete) -> Mix | None:
     mix = mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
     if yields == viscous == 1.0:
         return mix
-    said = (f"the table is before the factors of the section 'flow': {yields:g} on yield stresses, {viscous:g} on "
-            "viscosities")  # fmt: skip
+    said = ("the table shows the values before they are multiplied by the factors of the section 'flow': "
+            f"{yields:g} for yield stresses, {viscous:g} for viscosities")  # fmt: skip
     return replace(mix, factors=(yields, viscous), remarks=(*mix.remarks, said))
 
 

@@ -259,10 +259,10 @@ PROFILE_ACCURACY = 0.01
 """Accepted root mean square deviation of the velocity profile from theory, divided by the mean velocity."""
 
 
-GRID = "--ends periodic where little slips"
+GRID = "--ends periodic if little of the concrete slips"
 """Advice to the user if the concrete is sheared more than a column of particles can represent: simulate the flow on a
 grid, which has periodic ends."""
-ONE_PHASE = "one phase without --aggregates where little slips"
+ONE_PHASE = "one phase without --aggregates if little of the concrete slips"
 """Advice that takes the place of GRID for flows with aggregates, which cannot be simulated on a grid."""
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",

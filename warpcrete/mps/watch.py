@@ -9,8 +9,8 @@ from .scene import FluidScene
 FINITE_COLUMNS = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
 """Columns of the time series in which a value that is not finite stops the run."""
 CURES = "a smaller time step, a finer spacing, precision float64"
-COLUMN_CURES = {False: "; for concrete that shears, ends = periodic",
-                True: "; for concrete that shears, one phase without aggregates"}  # fmt: skip
+COLUMN_CURES = {False: "; if the concrete is sheared: ends = periodic",
+                True: "; if the concrete is sheared: one phase without aggregates"}  # fmt: skip
 """Text that is added to the error message if the unstable flow is a column of particles on a piston. The key is True
 for a column with aggregates. Such a column cannot be simulated on a grid, so its advice differs."""
 

@@ -60,7 +60,12 @@ def draw(
     if quantity is not None:
         known = _measured(study)
         if quantity not in known:
-            refuse("quantity", quantity, "is no number in the results of this study", known_names(quantity, known))
+            refuse(
+                "quantity",
+                quantity,
+                "is not the name of a number in the results of this study",
+                known_names(quantity, known),
+            )
         compared = [known[name] for name in (quantity, f"{quantity}_theory") if name in known]
     else:
         # A deviation from theory needs no panel of its own where the theory itself is drawn.

@@ -310,8 +310,9 @@ def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str 
     if not stress > least_stress(concrete, line):
         least = weight + ways * least_stress(concrete, line) * line.length / line.radius
         raise SceneError(
-            f"pressure = {pressure!r}: nothing flows below {least:.6g} Pa (weight {weight:.6g} Pa, yield stress "
-            f"{concrete.yield_stress:g} Pa, slip yield {concrete.slip_yield:g} Pa); increase the pressure"
+            f"pressure = {pressure!r}: nothing flows below {least:.6g} Pa, of which {weight:.6g} Pa carry the weight "
+            f"of the concrete (yield stress {concrete.yield_stress:g} Pa, of the slip layer {concrete.slip_yield:g} Pa)"
+            "; increase the pressure"
         )
     return steady_of_stress(concrete, line, stress, form)
 
@@ -401,7 +402,7 @@ def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], press
     if found.slope <= 0 or found.offset < 0:
         raise SceneError(
             f"fit: the points give a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which is "
-            "impossible; check length, rise and diameter, and the viscosity and yield stress of the shear that is "
-            "subtracted from the flows"
+            "impossible; check length, rise and diameter of the pipe, and the viscosity and yield stress of the "
+            "concrete"
         )
     return found

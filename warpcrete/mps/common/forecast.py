@@ -137,7 +137,7 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
     if not run.finished:
         remark = (
             f"a coarser copy of this flow reached {reached:.2g} s in {COPY_TIME:g} s of wall time, and {unmet} there; "
-            f"steps and wall time are those for all {simulation.duration:g} s"
+            f"the forecast of steps and wall time is for {simulation.duration:g} s"
         )
         return run, simulation.duration, [remark]
     return run, reached, [] if steady else [f"{unmet} within {reached:g} s"]

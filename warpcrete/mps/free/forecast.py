@@ -83,7 +83,7 @@ def course_of(simulation: FreeSimulation) -> Course:
     if scene.fluid is not scene:
         simulation = FreeSimulation(scene.fluid, device=str(simulation.device), precision=simulation.precision,
                                     threads=simulation.threads)  # fmt: skip
-        notes = ["time and steps are those of the mortar alone; aggregates make it slower"]
+        notes = ["the forecast of time and steps is for the mortar alone; a run with aggregates takes longer"]
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", **coarse)
     if outflow and run is not None and outflow.time in run.result:
         remarks = []

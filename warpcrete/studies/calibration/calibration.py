@@ -103,15 +103,15 @@ class Calibration:
         for target, (low, high) in still.items():
             names = ", ".join(free.name for free in task.free)
             between = f"{target.words(low)} and {target.words(high)}"
-            texts.append(f"none of {names} changes the {target.label}: it stays between {between}, but measured is "
-                        f"{target.words(target.value)}")  # fmt: skip
+            texts.append(f"none of {names} changes the {target.label}: it stays between {between}, but the measured "
+                         f"value is {target.words(target.value)}")  # fmt: skip
         for target in task.fitted:
             if target not in still and abs(self.off(target)) > UNREACHABLE_DISTANCE:
                 texts.append(f"no parameters within the ranges fit the {target.label} together with the other targets: "
                             f"it is {abs(self.off(target)):.1f} standard deviations off at best")  # fmt: skip
         for place, free in enumerate(task.free):
             if found.relative_width(place) > 0.8:
-                texts.append(f"the data do not determine {free.name}: it is as uncertain as its range")
+                texts.append(f"the data do not determine {free.name}: its uncertainty is as large as its range")
         for one, other, correlation in confounded_pairs(found):
             way = "increasing one and decreasing the other" if correlation < 0 else "increasing both"
             texts.append(f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation "
@@ -130,8 +130,8 @@ class Calibration:
         if checks:
             runs = sum(bool(trial.suspect) for trial in self.searched)
             texts.append(f"runs of {runs} of {len(self.searched)} trials fail checks of their scenes "
-                        f"({', '.join(checks)}); the fit takes their values as less certain, by one more uncertainty "
-                        "of the target")  # fmt: skip
+                        f"({', '.join(checks)}); the fit gives their values a further uncertainty, as large as the "
+                        "target's")  # fmt: skip
         checks = sorted({check for trial in self.trials if trial.proof for check in trial.suspect})
         if checks:
             texts.append(f"runs of the most likely parameters fail checks of their scenes ({', '.join(checks)}), so do "

@@ -278,7 +278,7 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
     """Yield remarks for the user about the line, about failed checks, and about limits of the simulations."""
     yield from found.line.remarks()
     if any(part.layer != 1 for part in found.line.parts):
-        yield "the slip layer of a hose is treated as that of a pipe"
+        yield "hoses are simulated with the slip layer of pipes"
     for name, bad in found.failed.items():
         yield from (f"check FAILED in {name}: {what}" for what in bad)
     for (key, seed), run in runs.items():
@@ -291,7 +291,7 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
     for part, blocked in zip(found.line.parts, found.blocked(), strict=True):
         if blocked:
             yield (f"BLOCKED: part {part.number}, {part.label}, with {blocked} of {len(found.packed)} seeds; the "
-                   "pressure of the line means nothing then")  # fmt: skip
+                   "pressure of a blocked line has no meaning")  # fmt: skip
     if not any(found.blocked()):
         yield "not blocked: no simulated part was blocked"
     laws = [law for each in found.packed for law in each.laws.values()]

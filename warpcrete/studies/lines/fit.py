@@ -129,8 +129,8 @@ def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) ->
         refuse(
             "fit",
             counted,
-            "is too few: 2 points determine the viscosity of the slip layer, 3 at two flows also its yield stress, and "
-            "4 at two places also the friction of bends",
+            "is too few: the viscosity of the slip layer needs 2 points, its yield stress needs 3 points at two or "
+            "more flows, and the friction of bends needs 4 points at two or more places",
             "measure at more places, or at other flows",
         )
     rises = TapModel(line, concrete, taps).rises
@@ -271,8 +271,8 @@ def _check_result(found: np.ndarray, free: Sequence[int], concrete: Concrete) ->
     """Refuse a fit that gave an impossible slip viscosity, slip yield or factor of bends."""
     if found[0] > NO_SLIP:
         raise SceneError(
-            f"fit: the gauges need more friction than a concrete of {concrete.viscosity:.4g} Pa s and "
-            f"{concrete.yield_stress:.4g} Pa has, even where it sticks to the wall; check the gauges (pressure of the "
+            f"fit: the measured friction is larger than that of a concrete of {concrete.viscosity:.4g} Pa s and "
+            f"{concrete.yield_stress:.4g} Pa that does not slip at all; check the gauges (pressure of the "
             "concrete, not of the oil), their unit and places, the flows, and the viscosity of the concrete"
         )
     for place in free:
@@ -294,8 +294,9 @@ def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
             same = abs(far.flow - near.flow) <= SAME_FLOW * near.flow
             if same and far.place > near.place and behind > REVERSED * before:
                 refuse(f"fit, line {far.row}: pressure", far.pressure,
-                       f"must be below that of line {near.row}, whose tap is nearer to the pump, by the weight and the "
-                       "friction between both", "check the places of the gauges; they count from the pump")  # fmt: skip
+                       f"must be lower than the pressure in line {near.row} of the file, whose tap is nearer to the "
+                       "pump, by the weight and the friction of the concrete between the two taps",
+                       "check the places of the gauges; they count from the pump")  # fmt: skip
 
 
 def _least_squares(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:

@@ -16,7 +16,7 @@ from .line_fit import Contradiction, LineFit, Stretch
 from .losses import GRAVITY
 from .tap_model import TapModel, metre_model
 
-SCALED = "not determined by these points; what was known before of the layer changes it like the viscosity"
+SCALED = "not determined by these points; multiplied by the same factor as the viscosity, to fit what was known before"
 """Text on a yield stress of the slip layer that the measured pressures do not determine. It says that the yield stress
 was multiplied by the same factor as the viscosity, when the fit was combined with earlier knowledge of the layer."""
 LAYER_FACTORS, UNCERTAINTIES, BISECTIONS = (1e-6, 1e6), (1e-9, 1e6), 60

@@ -57,7 +57,7 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
                   f"low: {bends[0].low:.4g}, high: {bends[0].high:.4g}}}", ""]  # fmt: skip
         if not low <= bends[0].value <= high:
             share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
-            found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
+            found += [f"The factor lies outside the range of published measurements, {low:g} to {high:g}. Bends make "
                       f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
                       "factor: check the taps before you use it.", ""]  # fmt: skip
     names = ("ft", "yd3/h", "psi") if line.customary else ("m", "m3/h", "bar")
@@ -82,7 +82,7 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
     if mix:
         return [
             f"Write into the section `mix` of the concrete's file{before} (for this delivery; without `uncertainty`, "
-            "the band is 30 %, that of other deliveries), or let --out FOLDER write the whole file:",
+            "the band is 30 %, as for other deliveries), or let --out FOLDER write the whole file:",
             "",
             f"    layer: {{{', '.join(f'{key}: {value}' for key, value in fit.layer_entry(factors).items())}}}",
         ]
@@ -102,9 +102,9 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
 
 def _meaning(fit: LineFit) -> str:
     """Return a sentence that compares the fitted friction and the fitted constants with those that were expected."""
-    text = f"the friction in straight pipe is {fit.expected:.3g} times that expected from the concrete's file"
+    text = f"the friction in straight pipe is {fit.expected:.3g} times the value expected from the concrete's file"
     if fit.outside:
-        text += f"; outside of the band expected from it: {', '.join(fit.outside)}"
+        text += f"; outside the expected band: {', '.join(fit.outside)}"
     return text
 
 
@@ -132,8 +132,9 @@ def _surprise(ratio: float) -> str:
     `ratio` is the fitted friction of straight pipe, divided by the expected one.
     """
     return (
-        f"- the gauges need {ratio:.2g} times the friction in straight pipe that was expected, outside its band: check "
-        "the slump, the gauges (pressure of the concrete, not of the oil), and whether concrete leaks or a plug begins"
+        f"- the measured friction in straight pipe is {ratio:.2g} times the expected one, and lies outside its band: "
+        "check the slump, the gauges (pressure of the concrete, not of the oil), and whether concrete leaks or a plug "
+        "begins"
     )
 
 
@@ -155,8 +156,8 @@ def warning_of(fit: LineFit, customary: bool) -> str:
 
     low, high = found.low, found.high
     return (
-        f"WARNING: no slip layer explains all gauges, so the band was widened until it contains them. The gauges need "
+        f"WARNING: no slip layer explains all gauges, so the band was widened until it contains them. The gauges show "
         f"{low.measured / size:.2g} {named} of friction {where(low)}, but {high.measured / size:.2g} {named} "
-        f"{where(high)}; the fitted layer gives {low.fitted / size:.2g} and {high.fitted / size:.2g}. Check the place "
-        "of the rise, the hose and reducer, and the gauges, or the gauges were read on another line"
+        f"{where(high)}; the fitted layer gives {low.fitted / size:.2g} and {high.fitted / size:.2g}. Check the "
+        "places of rises, hoses, reducers and gauges, and whether the gauges were read on this line"
     )

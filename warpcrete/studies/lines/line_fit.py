@@ -17,7 +17,7 @@ from .taps import Tap, is_free
 OPEN_YIELD, FITTED_YIELD = "unknown yield stress of the slip layer", "yield stress of the slip layer"
 """Names in reports of two causes of uncertainty at flows other than the measured ones. OPEN_YIELD is a yield stress
 that the measured pressures do not determine. FITTED_YIELD is the error of a yield stress that they determine."""
-NO_YIELD = "fitted without it, because the points would give a negative one"
+NO_YIELD = "left out of the fit, because the points would give a negative value"
 """Reason why the yield stress of the slip layer was left out of a fit, so that it is zero."""
 
 

@@ -185,7 +185,8 @@ class LineResult(LinePressures):
         if self.stop.highest is not None:
             fastest = both(us, "bar", self._fast_restart, digits=3)
             text += f", and {fastest} at {self.stop.highest:g} Pa/s, the highest published rate"
-        return f"{text}; state the pump (--pump-pressure) for the longest stop that it permits"
+        text += "; state the pressure of the pump (--pump-pressure) to see after how long a stop it restarts the line"
+        return text
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
         """Return the pressure of the line by this program and by each rule of practice, each split by kind of part."""
