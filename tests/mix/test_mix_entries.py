@@ -317,3 +317,18 @@ def test_a_size_number_in_the_name_of_a_part_is_the_size_of_the_stones(names, mo
         180 / 340
     )
     assert ("#99 is no size number of ASTM C33" in "".join(str(each.message) for each in caught)) == ("#99" in names[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "command", "says"),
+    [
+        ("mix: {density: 2300, slump: 15 cm}", "line", "describes a concrete, not a line; give this file as --conc"),
+        ("air: 2 %\nslump: 15 cm", "line", "line's key = 'air': describes a concrete, not a line"),
+        ("diameter: 5 in\nparts: [straight: 5 ft]", "mix", "a file with a diameter describes a line; use it as 'warp"),
+        ("density: 2300\nslump: 15 cm", "mix", "unknown key 'density'; it belongs to the section 'mix': write 'mix:'"),
+    ],
+)  # fmt: skip
+def test_a_file_in_the_wrong_place_is_explained(tmp_path, text, command, says):
+    path = tmp_path / "file.yaml"
+    path.write_text(f"{text}\n", encoding="utf-8")
+    assert says in str(CliRunner().invoke(cli, [command, str(path)]).exception)

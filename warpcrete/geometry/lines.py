@@ -27,6 +27,8 @@ SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
 """Number of points along a part, by the kind of the part. The search for crossings treats the part as straight between
 neighbouring points."""
+OF_CONCRETES = ("mix", "elements", "slump", "spread", "sieve", "water_binder")
+"""Keys of the file of a concrete that users may give as the file of a line."""
 
 
 def shipped_lines() -> tuple[str, ...]:
@@ -74,6 +76,9 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         refuse("line", given, "must consist of 'key: value' lines")
     for key in given:
         with errors_located_at(given, key):
+            if key not in KEYS and any(each in given for each in OF_CONCRETES):
+                hint = "give this file as --concrete, or as 'concrete' in the file of a line"
+                refuse("line's key", key, "describes a concrete, not a line", hint)
             one_of("line's key", key, KEYS)
     entries = given.get("parts")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:

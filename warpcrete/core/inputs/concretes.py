@@ -28,6 +28,9 @@ FILES = (".yaml", ".yml", ".json")
 SECTIONS = ("elements", "flow")
 TEXTS = ("name", "source", "calibrated", "base")
 KEYS = (*TEXTS, *SECTIONS, "mix")
+OF_MIXES = ("parts", "slump", "spread", "t500", "density", "air", "volume", "sieve", "sizes", "shape", "aggregate",
+            "water_binder", "layer")  # fmt: skip
+"""Entries of the section `mix` that users may write without this section."""
 MAXIMUM_CHAIN = 10
 """Maximum number of concretes in a chain in which each one is the base of the next."""
 
@@ -102,7 +105,12 @@ def _read(path: Path, depth: int) -> NamedConcrete:
     for key in given:
         if key not in KEYS:
             with errors_located_at(given, key):
-                refuse("concrete", str(path), f"has the unknown key {key!r}", known_names(key, KEYS))
+                hint = known_names(key, KEYS)
+                if "diameter" in given:
+                    hint = "a file with a diameter describes a line; use it as 'warpcrete line FILE'"
+                elif key in OF_MIXES:
+                    hint = "it belongs to the section 'mix': write 'mix:' above it, and indent it"
+                refuse("concrete", str(path), f"has the unknown key {key!r}", hint)
     texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
     sections: dict[str, dict[str, Any]] = {}
     for section in SECTIONS:
