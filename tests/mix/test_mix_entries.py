@@ -200,7 +200,7 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
         (SPREADING | {"spread": 0.45}, "mix t500 = '4 s': needs a final spread of 500 mm or more"),
         ({"density": 2300, "t500": 3}, "mix t500 = 3: needs a final spread"),
         ({"density": 2300, "slump": "29.5 cm"},
-         "mix slump = 0.295: must be in [0.01, 0.29] m; write the unit, as in '180 mm', and give 'spread'"),
+         "mix slump = 0.295: must be in [0.01, 0.29] m; write the unit, as in '180 mm' or '7 in', and"),
         ({"density": 2300, "slump": "50 mm", "spread": "700 mm"}, "contradicts"),
         ({"parts": {"cement": 320, "420 lb/yd3": None}, "slump": 0.15},
          "mix parts = '420 lb/yd3': is an amount without a name; a comma inside braces separates entries"),
