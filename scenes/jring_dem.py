@@ -25,8 +25,8 @@ def scene(parameters: RingElements) -> Scene:
 
     The scene equals `slump-dem` with additional bars, which stand on the plate and have no ring on top. Mould and bars
     resist sliding equally (`mould_grip`). The blocking step is the height of the concrete in the middle minus its
-    height around the ring. To see how strongly the bars hold concrete back, compare the spread with that of `slump-dem`
-    with the same seed.
+    height around the ring. To see how strongly the bars hold concrete back, compare the spread with the spread in
+    `slump-dem` with the same seed.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -115,7 +115,7 @@ class LongBox:
                    f"use {self.column_length + 0.3:g} m or more")  # fmt: skip
 
 
-# The following definitions are those of the scene that simulates the LCPC box as a flow.
+# The following definitions belong to the scene that simulates the LCPC box as a flow.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +182,7 @@ def _knobs(given: LongBoxFlow) -> Iterator[Knob]:
 trading = Trading(_knobs, quantities=("spread_length", "h0"), variants=free_variants)
 
 
-# The following definitions are those of the scene that simulates the LCPC box by discrete elements.
+# The following definitions belong to the scene that simulates the LCPC box by discrete elements.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,8 +195,8 @@ def scene_dem(parameters: LongBoxElements) -> Scene:
     """Model the LCPC box by discrete elements, and compute spread length, depth and yield stress (Roussel 2007).
 
     The concrete is not poured; it stands behind a gate at one end, and the gate is lifted slowly. `plate_grip` scales
-    the resistance of the floor and the sides to sliding, and `mould_grip` that of the gate. With the contact laws
-    mortar and plastic, the result also contains values from closed forms for comparison.
+    the resistance of the floor and the sides to sliding, and `mould_grip` scales the resistance of the gate. With the
+    contact laws mortar and plastic, the result also contains values from closed forms for comparison.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -20,8 +20,8 @@ DEGREE = 4
 the fluid forms a tall column, a degree of 6 or 8 saves a third of the conjugate-gradient iterations. Every iteration
 then takes longer, however, so a GPU gains nothing."""
 RATIO = 20.0
-"""Ratio of the largest to the smallest eigenvalue for which the Chebyshev iteration is designed. The eigenvalues are
-those of the coarse matrix after each row has been divided by its diagonal element. None of them exceeds 2."""
+"""Ratio of the largest to the smallest eigenvalue for which the Chebyshev iteration is designed. The eigenvalues belong
+to the coarse matrix after each row has been divided by its diagonal element. None of them exceeds 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 """Centre (MIDDLE) and half-width (REACH) of the interval of eigenvalues for which the Chebyshev iteration is designed.
 This interval extends from 2 / RATIO to 2."""

@@ -1,8 +1,8 @@
 """Conjugate gradients whose preconditioner contains the coarse grid of `coarse.py`; a whole solve is one kernel.
 
-The structure is that of `conjugate_gradient.py` (CPU) and `resident_solver.py` (GPU), in which the preconditioner is
-only the diagonal of the matrix. On a CPU every thread processes some chunks of rows. On a GPU the blocks stay resident
-and meet at barriers.
+The solve is structured as in `conjugate_gradient.py` (CPU) and `resident_solver.py` (GPU). In those files the
+preconditioner is only the diagonal of the matrix. On a CPU every thread processes some chunks of rows. On a GPU the
+blocks stay resident and meet at barriers.
 """
 
 import functools
@@ -62,8 +62,8 @@ def serial_correction(scalar, dimensions: int, vector: bool):
 def serial_two_level(scalar, dimensions: int, vector: bool):
     """Build the CPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    The preconditioner contains the coarse grid. Each thread launches the kernel with a single task. The parameters are
-    those of `serial_solver` in `conjugate_gradient.py`.
+    The preconditioner contains the coarse grid. Each thread launches the kernel with a single task. The kernel has the
+    same parameters as `serial_solver` in `conjugate_gradient.py`.
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value

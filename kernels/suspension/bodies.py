@@ -36,7 +36,8 @@ additions.
 """
 
 SEARCH_LOOPS, COVER_LOOPS = {"max_unroll": 2}, {"max_unroll": 3}
-"""Warp options of the kernels that search for walls, and of those that find the parts of cells that aggregates cover.
+"""Warp options of two groups of kernels. Kernels with SEARCH_LOOPS search for walls. Kernels with COVER_LOOPS find the
+parts of cells that aggregates cover.
 
 Warp unrolls loops of at most `max_unroll` turns. With Warp's default, 16, these kernels have up to 784 copies of their
 innermost function. NVIDIA's compiler takes two minutes for each of them. With these options it takes 1.5 s, or 11 s for

@@ -25,7 +25,7 @@ def leaving_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels `weigh` and `park`, each with one task per aggregate.
 
     `opens` has bit number 2 axis + 1 set if the upper side of the simulated box along this axis is open, and bit number
-    2 axis if the lower side is open. `excess` is the density of the aggregates minus that of the mortar [kg/m3].
+    2 axis if the lower side is open. `excess` is the density of the aggregates minus the density of the mortar [kg/m3].
     """
     vec = mps_types(scalar, 3).vec
     Grid = grid_parameters_struct(scalar, 3)

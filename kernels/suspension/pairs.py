@@ -1,9 +1,9 @@
 """Lubrication and contacts between aggregates, and between aggregates and walls.
 
 The grid resolves the flow between two aggregates if their gap is at least about one cell wide (the cut-off gap). In
-narrower gaps, the lubrication force at the actual gap minus that at the cut-off gap is added. Touching aggregates repel
-each other. Both forces depend linearly on the relative velocity along the line of centres, so they are part of the
-matrix of the implicit solve and do not limit the time step.
+narrower gaps, a force is added: the lubrication force at the actual gap minus the lubrication force at the cut-off gap.
+Touching aggregates repel each other. Both forces depend linearly on the relative velocity along the line of centres, so
+they are part of the matrix of the implicit solve and do not limit the time step.
 
 Every sphere has its own list of neighbours, also within a clump. Forces on a sphere of a clump also exert a torque on
 the clump. In comments on array shapes, m is the number of spheres of all aggregates; it is the number n of aggregates

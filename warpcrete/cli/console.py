@@ -16,7 +16,7 @@ class MessageStream(io.TextIOWrapper):
         self._stream = stream  # Python closes the buffer as soon as nobody refers to the stream that owns it.
 
     def write(self, text: str) -> int:
-        """Write a text, or drop it."""
+        """Write a text to standard error; drop it if the system cannot write it."""
         try:
             return super().write(text)
         except OSError:
@@ -24,7 +24,7 @@ class MessageStream(io.TextIOWrapper):
             return len(text)
 
     def flush(self) -> None:
-        """Write buffered texts, or drop them."""
+        """Write buffered texts to standard error; drop them if the system cannot write them."""
         try:
             super().flush()
         except OSError:

@@ -58,7 +58,7 @@ def _text(
     line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path,
     practice: bool,
 ) -> list[str]:  # fmt: skip
-    """Return lines of text with the results of all simulations; write those of discrete elements into `folder`."""
+    """Return the results of all simulations as lines of text; write results of discrete elements into `folder`."""
     said = [] if found is None else lines_of(found, practice)
     if packed is not None:
         others = {} if found is None else {"flow": [x.friction for x in found.losses]}

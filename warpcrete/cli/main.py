@@ -158,8 +158,7 @@ def view_run(run: Path, web: bool, bind: str) -> None:
 @click.argument("scene", type=Completed("scene_names"), nargs=-1)
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 def warm_command(scene: tuple[str, ...], device: str | None) -> None:
-    """Compile the kernels of each SCENE, so that its first run starts at once; without a name, the kernels of all
-    scenes.
+    """Compile the kernels of each SCENE, by default of all scenes, so that its first run starts at once.
 
     Use it when you install warpcrete, or when you build a container. Parameters of a scene, such as a contact law of
     your own, may follow its name: `warpcrete warm pipe --contact sticky:Sticky`. Runs with other features, such as
@@ -230,8 +229,8 @@ def validate_command(**settings: Any) -> None:
 def reproduce_command(**settings: Any) -> None:
     """Repeat the runs of PAPER, zhan (discrete elements) or xu (flows), and compare the results with the paper's.
 
-    The report shows the paper's values next to those of literal and calibrated runs, and judges each trend that the
-    paper reports. The exit code is 130 if the command was interrupted.
+    The report shows the paper's values next to the values of literal and calibrated runs, and judges each trend that
+    the paper reports. The exit code is 130 if the command was interrupted.
     """
     load("reproduce").run(**settings)
 

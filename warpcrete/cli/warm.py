@@ -25,7 +25,7 @@ from .study import parameter_values, parsed
 
 
 def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
-    """Compile the kernels that scenes need: those of all scenes, or those that `words` names, with their parameters.
+    """Compile the kernels of the scenes that `words` names, with their parameters, or of all scenes.
 
     A default scene whose kernels are known to be in the cache takes no time. Raises :class:`warpcrete.SceneError` for
     an unknown scene, parameter or device before anything is compiled.
@@ -47,7 +47,8 @@ def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
         with kernel_files() as files:
             explain(scene, device=str(found), cache=False)
         if record is not None:
-            with suppress(OSError, RunFolderError):  # Ignore the error: the kernels are ready without a record.
+            # A record that cannot be written is no error, because the kernels are ready without it.
+            with suppress(OSError, RunFolderError):
                 _write_record(record, files)
         click.echo(f"{name:12s} {method_of(scene).name:10s} {time.perf_counter() - started:5.1f} s")
     click.echo(f"kernels for {found} are ready; later runs of these scenes with their features start without compiling")

@@ -84,7 +84,7 @@ def _knobs(module: Any, given: Sequence[str]) -> list[str]:
 
 
 def _fields(module: Any, given: Sequence[str]) -> Mapping[str, Field]:
-    """Return the parameters of a scene, including those of contact laws that the words `given` name.
+    """Return the parameters of a scene, including parameters of contact laws that the words `given` name.
 
     If these words are not a valid command yet, return only the scene's own parameters.
     """

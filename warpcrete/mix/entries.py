@@ -70,7 +70,7 @@ OTHER_NAMES = {
     **dict.fromkeys(("air content", "entrained air"), "air"),
     **dict.fromkeys(("unit weight", "bulk density"), "density"),
 }  # fmt: skip
-"""Names that users may mistake for those of entries of a mix, each mapped to the correct name, which the error message
+"""Wrong names that users may write for entries of a mix, each mapped to the correct name, which the error message
 states. All are in lower case, with single spaces between words."""
 GRAVEL = 2650.0
 """Density of coarse aggregate if the mix states none [kg/m3]."""

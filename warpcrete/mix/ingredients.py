@@ -33,7 +33,8 @@ such a word in their names."""
 LIGHT = ("lightweight", "light", "expanded", "pumice", "perlite")
 """Words for light aggregate, whose density differs from product to product."""
 MIXED_WITH_SAND = ("gravel", "stone", "stones", "chippings", "pebbles")
-"""Words for stones that are no rock. Beside "sand", as in "sand and gravel", they mean a mixture of both."""
+"""Words for stones that do not name a kind of rock. Together with "sand", as in "sand and gravel", they mean a mixture
+of sand and stones."""
 VARIABLE = (*LIGHT, "clay", "recycled", "polypropylene", "pp", "pva",
           "synthetic", "polymer", "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""

@@ -39,21 +39,22 @@ THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
 layer. THICKENER_ERROR widens its uncertainty band to both sides.
 
 The first factor comes from the three concretes of Xu, Li & Jiang (2021), which contain such an admixture. Their wall
-stress at 0.5 m/s is 2.9 to 3.1 times that of :func:`paste_layer`.
+stress at 0.5 m/s is 2.9 to 3.1 times the wall stress by :func:`paste_layer`.
 """
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
 Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024). The layers of Xu, Li & Jiang (2021) correspond
 to 6 mm."""
 FILM_ERROR_FACTOR = 3.0
-"""Factor by which the true viscosity of a layer may be larger or smaller than that of :func:`film_layer`."""
+"""Factor by which the true viscosity of a slip layer may be larger or smaller than the result of :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0
-"""Factor by which the true viscosity of a slip layer may be larger or smaller than that of :func:`slump_layer`."""
+"""Factor by which the true viscosity of a slip layer may be larger or smaller than the result of :func:`slump_layer`.
+"""
 ASSUMED = (850.0, 10.0)
-"""Slip layer assumed if the mix contains no information on it: viscosity [Pa s/m] and yield stress [Pa]. The values are
-those of :func:`paste_layer` for a self-compacting concrete with 500 kg of powder in a cubic metre."""
+"""Slip layer assumed if the mix contains no information on it: viscosity [Pa s/m] and yield stress [Pa]. The function
+:func:`paste_layer` gives these values for a self-compacting concrete with 500 kg of powder in a cubic metre."""
 ASSUMED_ERROR_FACTOR = 3.0
-"""Factor by which the true viscosity of a slip layer may be larger or smaller than that of :data:`ASSUMED`."""
+"""Factor by which the true viscosity of a slip layer may be larger or smaller than the value in :data:`ASSUMED`."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
 """First words of the text that states the origin of a property that was not measured. ASSUMPTION means that the mix
 contains no information on it. ESTIMATE means that it was estimated from the paste alone."""
@@ -84,7 +85,7 @@ def film_layer(viscosity: float, aggregate: float) -> float:
 def aggregate_factor(aggregate: float) -> float:
     """Return the factor by which a volume fraction `aggregate` of sand and stones raises the viscosity of paste.
 
-    The relation is that of Krieger & Dougherty (1959).
+    The relation was found by Krieger & Dougherty (1959).
     """
     return (1 - aggregate / AGGREGATE_DENSEST) ** (-2.5 * AGGREGATE_DENSEST)
 

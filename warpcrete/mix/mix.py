@@ -364,8 +364,8 @@ def flow_amounts(found: NamedConcrete) -> dict[str, float]:
 def completed(name: str) -> NamedConcrete:
     """Return the concrete of a name or path, with the sections that follow from its mix added.
 
-    Entries that the concrete's own file states take precedence over those from its mix. Entries from the mix take
-    precedence over those of the concrete on which the file is based.
+    Entries that the concrete's own file states take precedence over entries that follow from its mix. Entries from the
+    mix take precedence over entries of the concrete on which the file is based.
     """
     found = concrete(name)
     mix = mix_in(found)

@@ -51,8 +51,8 @@ THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
 """Pairs of intrinsic viscosity and densest packing (as a volume fraction) of aggregate.
 
 They give the highest and the lowest estimate of the factor by which aggregate thickens mortar. The first pair is for
-rough grains. Its packing is that of equal spheres in random loose packing (Mahaut et al. 2008). Its intrinsic viscosity
-is assumed to be 30 % above that of spheres; Barnes, Hutton & Walters (1989) are said to give this value for ground
+rough grains. Its packing is the random loose packing of equal spheres (Mahaut et al. 2008). Its intrinsic viscosity is
+assumed to be 30 % above the value for spheres; Barnes, Hutton & Walters (1989) are said to give this value for ground
 gypsum, but their book was not checked. The second pair is for spheres of mixed sizes.
 """
 T500_ERROR_FACTOR = 1.3
@@ -115,7 +115,7 @@ def viscosities(given: MixEntries) -> Iterator[Figure]:
 def unknown_viscosity(given: MixEntries) -> Figure:
     """Return an estimate of the plastic viscosity of a mix for which no viscosity was measured.
 
-    If the composition of the paste is known, the viscosity of the paste is that of a slip layer of paste
+    If the composition of the paste is known, the viscosity of the paste is the viscosity of a slip layer of paste
     (:func:`.layer.paste_layer`) times the thickness of the layer. The factor :func:`.layer.aggregate_factor` accounts
     for sand and stones. If the composition is unknown, the result is an assumption.
     """

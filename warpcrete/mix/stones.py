@@ -59,8 +59,8 @@ def is_size_number(name: str) -> bool:
 def named_sizes(name: str) -> tuple[float, float] | None:
     """Return the smallest and the largest size of stones [m] that the name of an ingredient states, or None.
 
-    The sizes are those of a size number ('#67 stone'), two sieves in millimetres ('gravel 4/16', 'limestone 5-20 mm'),
-    or the largest size with its unit ('3/4 in rock', 'aggregate 20 mm').
+    The name may state a size number ('#67 stone'), two sieves in millimetres ('gravel 4/16', 'limestone 5-20 mm'), or
+    the largest size with its unit ('3/4 in rock', 'aggregate 20 mm').
     """
     found = [SIZE_NUMBERS[number] for number in size_numbers(name) if number in SIZE_NUMBERS]
     if found:

@@ -306,8 +306,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    # The closed forms assume the same yield stress everywhere, but that of thixotropic concrete varies with its
-    # structure. Pressure and wall stress are therefore not compared with the closed forms.
+    # The closed forms assume the same yield stress everywhere, but the yield stress of thixotropic concrete varies with
+    # its structure. Pressure and wall stress are therefore not compared with the closed forms.
     if scene.is_structured:
         found = {name: found[name] for name in ("volume", "balance of forces")}
     # The limits for the pressure at the restart assume that the yield stress is largest directly after the rest. This

@@ -1,4 +1,4 @@
-"""Measurements of a flow on a grid, under the same names as those of particle flows."""
+"""Measurements of a flow on a grid, under the same names as measurements of particle flows."""
 
 import math
 
@@ -106,9 +106,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return the theoretical velocity of each cell [m/s], averaged over its width; cells are sorted by their distance.
-    The distance is measured from the axis of a tube, or from the middle of a channel.
-    """
+    """Return the theoretical velocity of each cell [m/s], a mean over its width; cells are sorted by distance."""
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
         nx, POINTS_PER_CELL

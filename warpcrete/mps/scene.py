@@ -88,7 +88,7 @@ class FlowWatch(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class FlowSettings(Declared):
-    """Settings of the flow simulation."""
+    """Settings of the simulation of a pipe flow."""
 
     common: ClassVar[tuple[str, ...]] = ("duration", "rest")
 
@@ -286,7 +286,7 @@ class FluidScene(Parametrised, FlowSettings):
     def restart(self) -> Steady:
         """Return the theoretical state directly after the rest, when concrete flows but no structure is broken yet.
 
-        The velocity is that of the piston, and the yield stresses are those that the concrete has gained at rest.
+        The concrete moves with the velocity of the piston, and has the yield stresses that it has gained at rest.
         """
         flow = np.pi * self.radius**2 * self.velocity
         return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

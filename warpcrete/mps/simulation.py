@@ -43,7 +43,7 @@ COMPARISON_INTERVAL = 5e-3
 
 
 class FluidSimulation(FlowRun):
-    """Simulation of a pipe flow; parameters and errors are those of :class:`warpcrete.Simulation`.
+    """Simulation of a pipe flow; :class:`warpcrete.Simulation` explains its parameters and errors.
 
     A solve that does not converge raises :class:`ConvergenceError`.
     """
@@ -120,7 +120,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def may_end_early(self) -> bool:
-        """True unless the scene states a duration."""
+        """True if the run ends when the flow is steady; False if the scene states a duration."""
         return self.scene.duration is None
 
     def ended_early(self) -> bool:

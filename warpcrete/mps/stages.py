@@ -70,7 +70,7 @@ class StepPart:
         self.kind = particles.scalar, self.dimensions, self.serial
 
     def step(self) -> list[Any]:
-        """Return all stages of the step."""
+        """Return all stages of a time step in their order."""
         return [
             *self.geometry(),
             *self.wall_scale(),

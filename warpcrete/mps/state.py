@@ -122,8 +122,7 @@ class FluidState:
 
 PARTICLE_ARRAYS = ("position", "rounding", "velocity", "pressure")
 GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
-"""Names of the arrays on which the next step depends: those of particles (PARTICLE_ARRAYS) and of grains
-(GRAIN_ARRAYS)."""
+"""Names of the arrays on which the next step depends: PARTICLE_ARRAYS for particles, GRAIN_ARRAYS for grains."""
 
 
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:

@@ -257,8 +257,8 @@ def quantities_of_tests(
 def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
     """Return whether the concrete was slower than `rest_speed` [m/s] throughout the last `RESTED` seconds.
 
-    All of this time must lie after the time `opened` [s], from which on the concrete was free to flow. The speed is
-    that of most of the concrete if the rows contain it, otherwise the largest speed.
+    All of this time must lie after the time `opened` [s], from which on the concrete was free to flow. The compared
+    speed is the speed of most of the concrete if the rows contain it, otherwise the largest speed.
     """
     now, column = rows[-1]["time"], MOST if MOST in rows[-1] else FASTEST
     late = (row[column] for row in rows if row["time"] > now - RESTED - 1e-9)

@@ -1,7 +1,7 @@
 """Studies and trade-off studies on several GPUs or machines, with Dask's scheduler and workers.
 
 Each worker uses one GPU, or as many CPU cores as a run has threads. All workers must see the run folders under the same
-path. Folders and results equal those of a study on one machine, bit for bit. When a worker is lost, another one
+path. Folders and results are bit for bit the same as for a study on one machine. When a worker is lost, another one
 continues its work; the cases of a study continue from their last checkpoints.
 """
 
@@ -103,7 +103,7 @@ class Cluster:
         return found
 
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
-        """Return the device that a worker uses if `device` is requested, and a record of it and its software."""
+        """Return the device that a worker uses if `device` is requested, and a record of device and software."""
         return self.ask(_machine, self.device(device), precision, seed)
 
     def hardware(self, device: str | None) -> str:

@@ -247,7 +247,7 @@ def _panel(
 
 
 class _TheoryCurves:
-    """Quantities of a study by theory, at values of a parameter between those of the simulated cases."""
+    """Quantities of a study by theory, at parameter values between the values of the simulated cases."""
 
     def __init__(self, study: Any) -> None:
         self.study, self.module = study, modules().get(study.scene)
@@ -260,7 +260,7 @@ class _TheoryCurves:
     def between(
         self, part: list[dict[str, Any]], name: str, quantity: Quantity
     ) -> tuple[list[float], list[float]] | None:
-        """Return values of a parameter between those of simulated cases, and a quantity at these values by theory.
+        """Return parameter values between the values of simulated cases, and a quantity by theory at these values.
 
         The rows in `part` describe the cases, which differ only in the parameter `name`. The result is None if there is
         only one case or no closed form. It is also None for a whole number without a unit, which has no values between

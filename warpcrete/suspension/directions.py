@@ -38,7 +38,7 @@ class Directions:
     def vector(self, count: int = 1) -> Any:
         """Return a struct of new arrays that hold `count` vectors of the coupled equations.
 
-        Each array holds its part of the first vector, then that of the second one, and so on.
+        Each array holds its part of the first vector, then its part of the second vector, and so on.
         """
         sizes = {name: count * size for name, size in self._sizes.items()}
         return allocate(vector_struct(self._scalar), self._device, **sizes)

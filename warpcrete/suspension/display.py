@@ -42,8 +42,8 @@ class SphereDisplay(GridDisplay):
     ) -> Surface:
         """Return a surface of the concrete with spheres at `centres` [m], shape (n, 3).
 
-        `numbers` are the indices of the spheres among those of all aggregates. With `cut`, only spheres in or behind
-        the plane at this coordinate y [m] are drawn.
+        `numbers` are the indices of these spheres in the list of the spheres of all aggregates. With `cut`, only
+        spheres in or behind the plane at this coordinate y [m] are drawn.
         """
         parts = self.simulation.flow.aggregates.parts
         radii = parts.radius[numbers]
@@ -73,8 +73,8 @@ class SphereDisplay(GridDisplay):
 class SuspensionDisplay(SphereDisplay, FreeDisplay):
     """Display of a mortar with aggregates.
 
-    The surface of the concrete hides most aggregates; only those that bulge out of it are visible. In a cut view, the
-    aggregates in or behind the cutting plane are visible.
+    The surface of the concrete hides most aggregates; only aggregates that bulge out of this surface are visible. In a
+    cut view, the aggregates in or behind the cutting plane are visible.
     """
 
     @property

@@ -228,7 +228,7 @@ class SuspensionFlow(GridFlow):
         }  # fmt: skip
 
     def invert_blocks(self) -> None:
-        """Recompute the inverse diagonal blocks of the aggregates after new contacts have changed the matrix.
+        """Recompute the inverse diagonal blocks of the aggregates in the viscous matrix after new contacts changed it.
 
         The matrix is that of the viscous solve.
         """
@@ -252,7 +252,7 @@ class SuspensionFlow(GridFlow):
     def outcomes(self) -> dict[str, dict[str, float]]:
         """Return the numbers of iterations of the viscous and coupled solves in the last step, and the relative error.
 
-        The relative error is that of the coupled solve: its residual at the end, divided by the flow's momentum.
+        The relative error is the final residual of the coupled solve, divided by the flow's momentum.
         """
         coupled = self.coupled
         return {

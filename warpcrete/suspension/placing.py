@@ -135,7 +135,7 @@ def _separate(centres: np.ndarray, radii: np.ndarray, distance: Distance, period
 
 
 def _leave_walls(centres: np.ndarray, radii: np.ndarray, distance: Distance) -> None:
-    """Move spheres that overlap a wall away from it."""
+    """Move each sphere that overlaps a wall away from this wall."""
     depth = (1 + CLEARANCE + MARGIN) * radii - distance(centres)
     close = np.flatnonzero(depth > 0)
     if not len(close):

@@ -75,7 +75,7 @@ class _Packing:
         self.turn = turned(self.turn, angle)
 
     def _leave_walls(self) -> None:
-        """Push clumps whose spheres overlap a wall away from it."""
+        """Move each clump whose spheres overlap a wall away from this wall."""
         x = self.spheres()
         depth = (1 + CLEARANCE + MARGIN) * self.radii - self.distance(x)
         close = np.flatnonzero(depth > 0)
@@ -115,7 +115,7 @@ def placed_clumps(
 ) -> Aggregates | None:  # fmt: skip
     """Return aggregates at random places and with random orientations, without overlaps, or None if they do not fit.
 
-    The parameters are those of :func:`warpcrete.suspension.placing.random_places`.
+    :func:`warpcrete.suspension.placing.random_places` explains the parameters.
     """
     period = float(high[2] - low[2]) if periodic else 0.0
     packing = _Packing(aggregates, distance, period, rng)

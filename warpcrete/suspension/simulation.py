@@ -30,7 +30,7 @@ UNITS = SHARED_UNITS | {
 
 
 class SuspensionSimulation(AggregateRun, FreeSimulation):
-    """Simulation of a mortar with aggregates; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Simulation of a mortar with aggregates; :class:`warpcrete.Simulation` explains its parameters and errors."""
 
     scene_type = SuspensionScene
     scene: SuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -4,7 +4,7 @@ Flows without aggregates solve for velocity and pressure one after the other. Wi
 of about a third in the velocities of the aggregates. The method of generalised conjugate residuals (Eisenstat, Elman &
 Schultz 1983) therefore solves for velocities and pressure together, up to a tolerance.
 
-The preconditioner is that of Cahouet & Chabard (1988). It turns a residual into approximate changes of pressure and
+The preconditioner follows Cahouet & Chabard (1988). It turns a residual into approximate changes of pressure and
 velocities. The pressure is the solution of a pressure solve for the net inflow in the residual, plus a multiple of the
 net inflow that depends on the cell. A viscous solve with the forces of this pressure then gives the velocities.
 """

@@ -101,8 +101,8 @@ def _relative_down(measure: float) -> float:
 def wilson_interval(hits: int, count: int, deviations: float = 1.959964) -> tuple[float, float]:
     """Return the confidence interval of a probability that is estimated from `hits` among `count` independent trials.
 
-    The interval is that of Wilson (J. Am. Stat. Assoc. 22 (1927) 209). It stays between 0 and 1, and is meaningful even
-    for no hits at all. `deviations` is the number of standard deviations of a normal distribution; 1.96 gives a
+    The interval was derived by Wilson (J. Am. Stat. Assoc. 22 (1927) 209). It stays between 0 and 1, and is meaningful
+    even for no hits at all. `deviations` is the number of standard deviations of a normal distribution; 1.96 gives a
     confidence of 95 %.
     """
     share, squared = hits / count, deviations**2

@@ -22,12 +22,12 @@ SPREADS = (0.500, 0.527, 0.562, 0.611, 0.694, 0.808, 1.132)
 T500_FACTORS = (3.53e-4, 5.58e-4, 7.57e-4, 9.39e-4, 11.34e-4, 12.11e-4, 12.56e-4)
 """Ratio of the viscosity to rho g T500 [m], for each diameter of the spread at rest in `SPREADS` [m].
 
-Here rho is the density, g gravity, and T500 the time until the spread reaches 500 mm. The spreads at rest are those of
-:func:`warpcrete.theory.vessels.heap_at_rest`. The factors were measured with this program's own flow: `warpcrete run
-slump` with 300 Pa s, 2300 kg/m3, yield stresses of 80, 65, 50, 35, 20, 10 and 2 Pa, cells of 10 mm, and a mould lifted
-in 1 s. For comparison, the factor of a viscous heap without yield stress is 14.8e-4 m (Huppert 1982, about an axis:
-radius 0.894 (rho g V^3 t / (3 mu))^(1/8)). At 30 Pa s inertia and the lift matter: with a yield stress of 50 Pa the
-factor is 8.7e-4 m for a lift in 1 s, and 5.9e-4 m for a lift in 3 s.
+Here rho is the density, g gravity, and T500 the time until the spread reaches 500 mm. The function
+:func:`warpcrete.theory.vessels.heap_at_rest` gives the spreads at rest. The factors were measured with this program's
+own flow: `warpcrete run slump` with 300 Pa s, 2300 kg/m3, yield stresses of 80, 65, 50, 35, 20, 10 and 2 Pa, cells of
+10 mm, and a mould lifted in 1 s. For comparison, the factor of a viscous heap without yield stress is 14.8e-4 m
+(Huppert 1982, about an axis: radius 0.894 (rho g V^3 t / (3 mu))^(1/8)). At 30 Pa s inertia and the lift matter: with a
+yield stress of 50 Pa the factor is 8.7e-4 m for a lift in 1 s, and 5.9e-4 m for a lift in 3 s.
 """
 
 

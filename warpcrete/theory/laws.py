@@ -37,14 +37,14 @@ class FlowLaw:
     """
 
     yield_stress: float
-    """Yield stress tau_0 [Pa]."""
+    """Yield stress tau_0 of the flow law [Pa]."""
     viscosity: float
     """Plastic viscosity mu [Pa s], or consistency k [Pa s^n] of the Herschel-Bulkley law.
 
     In the law of a slip layer, mu or k is divided by the n-th power of the layer's thickness.
     """
     index: float = 1.0
-    """Flow index n."""
+    """Flow index n of the flow law; 1 for a Bingham fluid."""
     quadratic: float = 0.0
     """Coefficient c of the squared rate in the modified Bingham law: [Pa s2] with shear rates, [Pa s2/m2] with slip
     velocities; 0 in the other laws."""

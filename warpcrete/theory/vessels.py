@@ -243,7 +243,7 @@ def duct_stress(
 def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -> np.ndarray:
     """Return 2 v / R for a duct [1/s], with the mean speed v and the hydraulic radius R, at a mean wall `stress` [Pa].
 
-    The formula and its constants `a` and `b` are those of :func:`duct_stress`.
+    The function :func:`duct_stress` states the formula and its constants `a` and `b`.
     """
     if law.name == BINGHAM:
         q = np.minimum(law.yield_stress / stress, 1.0)

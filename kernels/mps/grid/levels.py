@@ -98,7 +98,7 @@ def system_structs(scalar) -> SimpleNamespace:
 def level_kernels(scalar, serial: bool) -> SimpleNamespace:
     """Build the kernels that compute the coarser matrices and the row lists of a system from its finest matrix.
 
-    - `coarsen` computes the matrix of one level from that of the next finer level, with one task per coarse row.
+    - `coarsen` computes the matrix of one level from the matrix of the next finer level, with one task per coarse row.
     - `damp` computes the factors of the smoothing steps, with one task per row of all levels.
     - `list_rows` lists the rows with an unknown. On a CPU the kernel runs as one task. On a GPU it runs with one task
       per row, after a prefix sum of `free` has been stored in `before`.

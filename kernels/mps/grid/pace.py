@@ -1,8 +1,8 @@
 """Adaptive time steps of a flow on a grid, limited by the error of a step and by the distance that concrete moves.
 
 The error of a step of the backward Euler method is half the step times the change of the acceleration between two
-steps. Here the acceleration is that of the root mean square speed of the flow. The acceleration at a single face would
-contain the noise of the particles, which a shorter step does not reduce.
+steps. Here, acceleration means the rate of change of the root mean square speed of the flow. The acceleration at a
+single face would contain the noise of the particles, which a shorter step does not reduce.
 
 With a free surface, the transfer of velocities from particles to the grid changes even the rms speed by up to a
 hundredth in every step, however short the step is. If errors had to be smaller than this change, steps would shrink to

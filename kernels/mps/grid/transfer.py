@@ -15,7 +15,7 @@ from .columns import LANES, column_functions
 from .places import grid_functions
 
 LIGHT = wp.constant(0.1)
-"""Inertia of a ghost face (an unknown velocity inside a wall), divided by that of a face wholly in concrete."""
+"""Inertia of a ghost face (an unknown velocity inside a wall), divided by the inertia of a face wholly in concrete."""
 
 
 @functools.cache

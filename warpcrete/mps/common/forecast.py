@@ -31,9 +31,9 @@ class Course:
     """Expected duration and mean time step of a run."""
 
     duration: float
-    """Simulated time of the run [s]."""
+    """Expected simulated time of the run [s]."""
     time_step: float
-    """Mean time step [s]."""
+    """Expected mean time step of the run [s]."""
     remarks: Sequence[str] = ()
     slowdown: float = 1.0
     """Mean wall time of a step over the whole run, divided by the mean wall time of the first steps."""

@@ -23,7 +23,7 @@ CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 """Names of all constants of a :class:`Concrete`."""
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
 """Names of all constants of a concrete, and of the factors that multiply its yield stresses and viscosities. A scene
-may have parameters with these names; their values replace those of the named concrete."""
+may have parameters with these names; their values replace the constants of the named concrete."""
 NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 """Constants of a slip layer on which concrete hardly slips."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
@@ -185,8 +185,8 @@ def flowing() -> list[str]:
 def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
     """Return the constants in the file of the concrete that a scene's parameters name.
 
-    The result is empty if the name is not that of a file, or if the parameters already state all constants. If the file
-    omits constants of a flow law, they get the values with which this law equals Bingham's.
+    The result is empty if the concrete is not described by a file, or if the parameters already state all constants. If
+    the file omits constants of a flow law, they get the values with which this law equals Bingham's.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name

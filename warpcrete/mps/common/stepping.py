@@ -303,7 +303,8 @@ def _run_together(runs: list[_Run], device: Any, progress: Progress) -> None:
             except CapacityError as error:
                 run.simulation.release()
                 if under_way:
-                    full = True  # Memory has no room for a further run until one has ended.
+                    # The memory of the device has no room for a further run until one of the present runs has ended.
+                    full = True
                     break
                 run.outcome = error
             except (Exception, KeyboardInterrupt) as failure:

@@ -148,7 +148,7 @@ class FreeDisplay(GridDisplay):
         return found
 
     def _standing_walls(self) -> list[DrawnWall]:
-        """Return the walls of the scene and their mirror images."""
+        """Return the walls of the scene that stand still, and their mirror images."""
         found = []
         for wall in self.simulation.scene.walls:
             drawn = wall.drawn()

@@ -74,8 +74,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     if outflow and estimate is None:
         note = "no closed form tells when the vessel is empty; the yield stress may hold the concrete back"
         return Course(scene.duration, scene.time_step, [note])
-    # The bars of a vessel do not limit the cells of the coarser copy. If they did, these cells would be as small as
-    # those of the scene itself.
+    # The bars of a vessel do not limit the cells of the coarser copy. If they did, these cells would be as small as the
+    # cells of the scene itself.
     across = *np.ptp(scene.extent, axis=0), *(x for name, x in scene.dimensions.items() if name != "bar_diameter")
     spacing = min(max(scene.spacing, scene.extent[1, 1] / COARSE_CELLS_HIGH), min(across) / CELLS_ACROSS)
     coarse = {"spacing": float(max(spacing, scene.spacing))}
@@ -102,7 +102,7 @@ def course_of(simulation: FreeSimulation) -> Course:
 
 
 def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:
-    """Return the mean wall time of all steps of a coarser copy's finished `run`, divided by that of the first steps.
+    """Return the mean wall time of a step of a coarser copy's `run`, divided by the time of one of its first steps.
 
     The first steps are shorter than later ones, so their solves need fewer iterations. `changes` are the attributes of
     the scene in which the copy differs from the flow itself.

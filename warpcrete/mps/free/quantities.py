@@ -58,7 +58,7 @@ QUANTITIES = (
 
 
 def quantities() -> tuple[Quantity, ...]:
-    """Return all result quantities of free-surface flows, including those of standard tests and their closed forms."""
+    """Return all result quantities of free-surface flows, including results of standard tests and of closed forms."""
     tests = quantities_of_tests(StandardTest.with_forms, lambda k: outcome(k.scene, k.series, k.volume))
     return (*tests, *QUANTITIES)
 

@@ -195,7 +195,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def about_axis(self) -> bool:
-        """True if the vessel is a body of revolution, so that results such as the spread are those of a round heap."""
+        """True if the vessel is a body of revolution, so that the concrete forms a round heap."""
         return self.axial or self.round
 
     @property

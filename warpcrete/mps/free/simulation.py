@@ -30,7 +30,7 @@ In this time the concrete may be slow because it has only begun to flow.
 
 
 class FreeSimulation(FlowRun):
-    """Simulation of a free-surface flow; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Simulation of a free-surface flow; :class:`warpcrete.Simulation` explains its parameters and errors."""
 
     scene_type = FreeScene
     scene: FreeScene

@@ -10,11 +10,11 @@ THREE_POINTS = 0.125, 0.5, 0.875
 """Positions of three particles along a cell, in cell widths from its lower end.
 
 Each particle shares its mass among cells by hat functions, which fall from 1 at a cell's centre to 0 at the centres of
-its neighbours. At these positions the shares of the three particles are those of an evenly filled cell: 0.75 for the
-cell itself and 0.125 for each neighbour.
+its neighbours. At these positions, the three particles give the same shares as an evenly filled cell: 0.75 for the cell
+itself and 0.125 for each neighbour.
 """
 MAX_MASS = 3.0
-"""Maximum mass of a particle, divided by that of a particle in a full cell; the minimum is 1 / MAX_MASS."""
+"""Maximum mass of a particle, divided by the mass of a particle in a full cell; the minimum is 1 / MAX_MASS."""
 
 
 def fill_cells(
@@ -22,8 +22,8 @@ def fill_cells(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of particles in the concrete [m], shape (n, axes), and their relative masses, shape (n,).
 
-    A mass of 1 is that of a particle in a full cell. The particles of a partly filled cell share the mass of the
-    concrete in it equally, but each mass is limited to the range from 1 / MAX_MASS to MAX_MASS.
+    A particle in a full cell has the mass 1. The particles of a partly filled cell share the mass of the concrete in it
+    equally, but each mass is limited to the range from 1 / MAX_MASS to MAX_MASS.
     """
     axes = len(room.cells)
     each = _sample_points(room, per_axis)

@@ -122,15 +122,15 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         distance, own = nearest(room.places(shift))
         share, below = _open_part(corners, solid != NONE, axis), np.roll(solid, 1, axis)
         closed = share == 0.0
-        # At a closed face that lies on a wall parallel to it, the velocity normal to the face is that of the wall. Near
-        # an inclined wall, the velocity normal to a closed face is an unknown of the solve.
+        # At a closed face that lies on a wall parallel to it, the velocity normal to the face equals the wall's
+        # velocity. Near an inclined wall, the velocity normal to a closed face is an unknown of the solve.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
         stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
-        # At a face on a side of the box, the velocity normal to the face is that of the side, even where another wall
-        # covers the face. If this velocity were an unknown, the equations would hardly determine it where two walls
-        # meet, and solves would converge slowly.
+        # At a face on a side of the box, the velocity normal to the face equals the side's velocity, even where another
+        # wall covers the face. If this velocity were an unknown, the equations would hardly determine it where two
+        # walls meet, and solves would converge slowly.
         for side, at in zip(room.sides[axis], (1, depth.shape[axis] - 1), strict=True):
             if side == WALL:
                 on_side = closed & (index[axis] == at)
@@ -329,7 +329,7 @@ def _hat_parts(ends: np.ndarray, fine: int, radius: np.ndarray | None = None) ->
 
 
 def _shifted(values: np.ndarray, offset: Sequence[int]) -> np.ndarray:
-    """Return an array whose value at i + `offset` is that of `values` at i, and 0 where there is no such i."""
+    """Return `values` shifted by `offset`: entry i moves to i + `offset`, and entries without a source are 0."""
     found = np.zeros_like(values)
     target = tuple(slice(max(n, 0), length + min(n, 0)) for n, length in zip(offset, values.shape, strict=True))
     source = tuple(slice(max(-n, 0), length + min(-n, 0)) for n, length in zip(offset, values.shape, strict=True))

@@ -91,12 +91,12 @@ class GridLayout:
 
     @property
     def cells(self) -> tuple[int, ...]:
-        """Numbers of cells along each axis."""
+        """Number of cells of the grid along each axis."""
         return self.room.cells
 
     @property
     def axes(self) -> int:
-        """Number of axes, 2 or 3."""
+        """Number of axes of the grid, 2 or 3."""
         return len(self.room.cells)
 
     @property
@@ -111,7 +111,7 @@ class GridLayout:
 
     @property
     def spacing(self) -> float:
-        """Width of a cell [m]."""
+        """Width of a cell of the grid along the first axis [m]."""
         return self.room.width[0]
 
     @property

@@ -53,7 +53,7 @@ class GridStep:
         self.barrier = flow.barrier() if len(parts) < flow.threads else []
 
     def stages(self) -> list[Any]:
-        """Return all stages of the step."""
+        """Return all stages of a time step in their order."""
         flow, layout, kind, scalar = self.flow, self.layout, self.kind, self.scalar
         serial = not flow.parallel
         bins = bin_kernels(scalar, serial, kind)

@@ -18,8 +18,8 @@ from .layout import GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive", "clock")
-"""Names of the arrays on which the next step depends: those of the particles (PARTICLE_ARRAYS), and those on cells,
-faces and edges (MESH_ARRAYS)."""
+"""Names of the arrays on which the next step depends. PARTICLE_ARRAYS belong to the particles, and MESH_ARRAYS to
+cells, faces and edges."""
 SURFACE_ARRAYS = ("pressure_change",)
 """Names of further arrays of the struct `Fields` on which the next step depends if the concrete has a free surface."""
 STRUCTURE_ARRAYS = ("gained", "layer")

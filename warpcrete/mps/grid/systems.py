@@ -47,7 +47,7 @@ class System:
     """Linear system with a row for each face or for each cell of the grid."""
 
     rows: int
-    """Number of rows on the finest multigrid level, whose cells are those of the grid itself."""
+    """Number of rows on the finest multigrid level, whose cells are the cells of the grid itself."""
     first: tuple[int, ...]
     """Index of the first row of each multigrid level, followed by the total number of rows."""
     matrix: Any

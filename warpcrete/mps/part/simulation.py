@@ -28,7 +28,7 @@ in each of two successive periods."""
 class PartSimulation(FlowRun):
     """Simulation of a flow through a part of a pump line.
 
-    Parameters and errors are those of :class:`warpcrete.Simulation`.
+    :class:`warpcrete.Simulation` explains its parameters and errors.
     """
 
     scene_type = PartScene

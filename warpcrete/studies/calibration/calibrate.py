@@ -50,8 +50,8 @@ def calibrate(
 ) -> Calibration:
     """Find the parameters of a concrete that reproduce `targets`, a file of targets or its contents as a mapping.
 
-    `out` is the new folder (default: runs/calibration-NNN). `settings` and the errors raised are those of
-    :func:`run_calibration`.
+    `out` is the new folder (default: runs/calibration-NNN). :func:`run_calibration` explains the `settings` and the
+    errors raised.
     """
     asked = Path(targets) if isinstance(targets, str) else targets
     if not isinstance(asked, Path | Mapping):

@@ -125,8 +125,8 @@ ON_CONCRETE = (
     "all pressures act on the concrete; the oil pressure on the pump's own gauge is this pressure times the ratio of "
     "the areas of concrete piston and oil piston (data sheet)"
 )
-"""Sentence that explains why the pump's own gauge, which measures the pressure of oil, shows another pressure than that
-of the concrete. It is printed for lines with a pump."""
+"""Sentence that explains why the pump's own gauge does not show the pressure of the concrete: it measures the pressure
+of oil. It is printed for lines with a pump."""
 
 
 @dataclass(frozen=True)

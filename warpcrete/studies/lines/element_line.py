@@ -63,7 +63,7 @@ class SeedResult:
     laws: Mapping[float, WallLaw]
     """Laws for the wall friction of straight pipe; the keys are the pipe's diameters [m]."""
     ratios: Mapping[tuple[Any, ...], float]
-    """Friction of each kind of bend or reducer, divided by that of straight pipe of the same length."""
+    """Friction of each kind of bend or reducer, divided by the friction of straight pipe of the same length."""
     density: float
     """Bulk density of the elements that fill the pipe [kg/m3]."""
     blocked: Mapping[tuple[Any, ...], bool] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class SeedResult:
         return any(found for key, found in self.blocked.items() if key[: len(part.loss_key)] == part.loss_key)
 
     def ratio(self, part: Part) -> float:
-        """Return a part's friction divided by that of straight pipe of the same length."""
+        """Return a part's friction divided by the friction of straight pipe of the same length."""
         return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:

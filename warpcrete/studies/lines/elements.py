@@ -1,8 +1,8 @@
 """Pressure of a pump line by discrete elements: each kind of part is simulated once for every seed.
 
-A straight pipe yields the shear stress on its wall as a function of the local pressure. A bend or reducer yields its
-friction relative to that of straight pipe. The pressure along the line follows by integration from its end, where the
-pressure is zero, to its start.
+A straight pipe yields the shear stress on its wall as a function of the local pressure. A bend or reducer yields the
+ratio of its friction to the friction of straight pipe. The pressure along the line follows by integration from its end,
+where the pressure is zero, to its start.
 """
 
 import time as wall_clock

@@ -27,14 +27,14 @@ LAYER_STEP = 1.001
 
 
 def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:
-    """Return a fit that combines the fitted slip layer with what was known of it before the measurement.
+    """Return a fit that combines the fitted slip layer with what was known of the layer before the measurement.
 
     `concrete` has the slip layer that was expected before, and `prior` holds the concretes at the lower and the upper
-    end of its uncertainty band. The fit and the earlier knowledge each give a friction of straight pipe at the mean
-    flow, with a band. The logarithm of the result's friction is the mean of the two logarithms, weighted by the inverse
-    squares of the widths of the bands. The fitted constants of the layer are multiplied by one factor that gives this
-    friction. If the fit lies outside the earlier band, this band is first widened to contain the fit. Earlier knowledge
-    therefore counts less if the gauges contradict it more.
+    end of the uncertainty band of this expected layer. The fit and the earlier knowledge each give a friction of
+    straight pipe at the mean flow, with a band. The logarithm of the result's friction is the mean of the two
+    logarithms, weighted by the inverse squares of the widths of the bands. The fitted constants of the layer are
+    multiplied by one factor that gives this friction. If the fit lies outside the earlier band, this band is first
+    widened to contain the fit. Earlier knowledge therefore counts less if the gauges contradict it more.
     """
     pipe = metre_model(line, concrete, fit.taps)
     own = np.array([fit.constants[0].value, fit.constants[1].value, 1.0])

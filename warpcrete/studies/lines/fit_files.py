@@ -54,7 +54,7 @@ def write_fit(
 ) -> list[str]:
     """Write the files of a fit into `folder`, and return lines of text that tell the user how to use them.
 
-    The other arguments are those of :func:`fitted_concrete`.
+    :func:`fitted_concrete` explains the other arguments.
     """
     _write(folder / CONCRETE_FILE, fitted_concrete(fit, concrete, mix, source, line))
     warning = "; do not use it before you have found out why the gauges contradict each other"

@@ -49,9 +49,8 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
     """Return a fit with two further slip layers, which the measured pressures do not distinguish from the fitted one.
 
     The layers have the smallest and the largest possible yield stress, and the same mean friction behind the gauges as
-    the fitted layer. The range of the yield stress is that of `yield_deviation` if the pressures determine it, and
-    otherwise the range from before the measurement, of :func:`known_yields`. The viscosity of the layers is at least
-    `THINNEST`.
+    the fitted layer. If the pressures determine the yield stress, its range is given by `yield_deviation`. Otherwise it
+    is the range from before the measurement (:func:`known_yields`). The viscosity of the layers is at least `THINNEST`.
 
     The layers at the ends of the band of the friction (`layer_ends`) have the yield stress that goes with this friction
     according to the errors of the fit.

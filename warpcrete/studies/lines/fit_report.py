@@ -101,7 +101,7 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
 
 
 def _meaning(fit: LineFit) -> str:
-    """Return a sentence that compares the fitted friction and the fitted constants with those that were expected."""
+    """Return a sentence that compares the fitted friction and the fitted constants with their expected values."""
     text = f"the friction in straight pipe is {fit.expected:.3g} times the value expected from the concrete's file"
     if fit.outside:
         text += f"; outside the expected band: {', '.join(fit.outside)}"

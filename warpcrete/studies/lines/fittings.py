@@ -46,9 +46,8 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Range of the ratio of a part's friction to that of straight pipe of the same length, by kind of part. For a valve,
-the upper end follows from the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of
-straight pipe."""
+"""Lowest and highest friction of each kind of part, divided by the friction of straight pipe of the same length. For a
+valve, the highest friction is the pressure loss :data:`VALVE_PRESSURE`, unless straight pipe has a larger friction."""
 
 
 def methods_on_bends(customary: bool = False) -> str:
@@ -95,7 +94,7 @@ def _is_uncertain(part: Part) -> bool:
 
 
 def library_factor(part: Part) -> float:
-    """Return the friction of a bend or reducer, divided by that of straight pipe of the same length and bores.
+    """Return the friction of a bend or reducer, divided by the friction of straight pipe of its length and bores.
 
     The factor is interpolated between the factors of bends or reducers that were simulated with different sharpness.
     The result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
@@ -115,8 +114,8 @@ def is_in_library(part: Part) -> bool:
     """Return whether the friction of a pipe part can be found without a simulation.
 
     For a bend or reducer, this is the case if the line's file states its factor or if the table of simulated parts
-    covers it. The table covers all bends and reducers except those that are sharper than the sharpest simulated one.
-    The result is True for all other kinds of parts.
+    covers it. The table covers all bends and reducers that are not sharper than the sharpest simulated one. The result
+    is True for all other kinds of parts.
     """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True

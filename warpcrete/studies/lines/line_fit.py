@@ -77,7 +77,7 @@ class LineFit:
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
     """Fitted constants in this order: the viscosity of the slip layer, its yield stress and, if the line has bends, the
-    friction of bends divided by that of straight pipe."""
+    friction of bends divided by the friction of straight pipe."""
     pressures: tuple[float, ...]
     """Pressures at the taps (places of gauges) according to the fit [Pa], in the order of the taps."""
     uncertainty: float

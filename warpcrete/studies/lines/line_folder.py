@@ -20,10 +20,10 @@ PARTS = "parts"
 def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     """Lock the folder of a line during a `with` block.
 
-    The folder `out` must be new, or it must be that of an interrupted line, which then continues. `asked` holds all
-    inputs on which the line's runs depend, as JSON. If `out` is None, nothing is locked. If the block fails before it
-    has begun any run in a new folder, the folder is removed. Raises :class:`RunFolderError` if the folder exists and
-    holds a finished line, or an interrupted line with other inputs.
+    The folder `out` must be new, or must belong to an interrupted line, which then continues. `asked` holds all inputs
+    on which the line's runs depend, as JSON. If `out` is None, nothing is locked. If the block fails before it has
+    begun any run in a new folder, the folder is removed. Raises :class:`RunFolderError` if the folder exists and holds
+    a finished line, or an interrupted line with other inputs.
     """
     if out is None:
         yield

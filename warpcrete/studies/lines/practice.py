@@ -21,8 +21,8 @@ GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "
           "bore": "bores"}  # fmt: skip
 """Headings of the columns in the table of rules, by the kind of part that a column sums up."""
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
-"""Friction of a kind of part divided by that of a straight pipe of the same length, by a rule of the Architectural
-Institute of Japan (AIJ). Kinds that are not listed have the factor 1."""
+"""Friction of each kind of part, divided by the friction of a straight pipe of the same length, by a rule of the
+Architectural Institute of Japan (AIJ). Kinds that are not listed have the factor 1."""
 AIJ_OTHERS, JSCE_OTHERS, JGJ_OTHERS = ("valve", "bore"), ("valve", "bore"), ("reducer", "bore")
 """Kinds of parts that the rules of the AIJ, the JSCE and JGJ/T 10 do not cover."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))

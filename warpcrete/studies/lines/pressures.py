@@ -143,9 +143,9 @@ class LinePressures:
     def measured(self: P, cause: str, factors: tuple[float, float]) -> P:
         """Return a copy with the uncertainty that would remain after a measurement of some properties of the concrete.
 
-        The measurement is assumed to confirm the present values. The properties are those of one cause of uncertainty,
-        which is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'. `factors` are the lower and the upper
-        end of the uncertainty band that remains after the measurement, each divided by the measured value.
+        The measurement is assumed to confirm the present values. These properties belong to one cause of uncertainty,
+        `cause`, which is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'. `factors` are the lower and
+        the upper end of the uncertainty band that remains after the measurement, each divided by the measured value.
         """
         low, high = (
             with_layer_factor(self.concrete, x) if cause == "slip layer"
@@ -159,7 +159,8 @@ class LinePressures:
 
         With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
         `flow`, it is the pressure for restarting at that flow at once. The friction of straight pipe follows from the
-        closed form. The friction of fittings is that of straight pipe, multiplied by the same ratio as before the stop.
+        closed form. The friction of a fitting is the friction of straight pipe, multiplied by the same ratio as before
+        the stop.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"

@@ -97,7 +97,8 @@ def _columns(path: Path) -> tuple[dict[str, tuple[int, str]], list[tuple[int, li
     places = [place for place, _ in used.values()]
     header, _ = read_rows(path, "fit")
     others = (head.strip() for place, head in enumerate(header) if place not in places)
-    return used, rows, [name for name in others if name]  # A comma at the end of the line has no name behind it.
+    # A comma at the end of the header leaves an empty name, which is left out here.
+    return used, rows, [name for name in others if name]
 
 
 def at_one_flow(taps: Sequence[Tap]) -> bool:

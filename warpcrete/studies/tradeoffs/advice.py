@@ -78,7 +78,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 def _kinds_of_aggregates(given: Any) -> tuple[bool, bool]:
     """Return whether a flow has aggregates of grouped particles, and whether it has rigid bodies in the mortar."""
     # Compare the attribute `aggregates` with True. It is True or False in the parameters of channels and tubes, but a
-    # function in those of vessels.
+    # function in the parameters of vessels.
     grouped = getattr(given, "aggregates", None) is True
     return grouped, not grouped and bool(getattr(given, "aggregate_fraction", None))
 

@@ -25,7 +25,7 @@ class Error:
 
     @property
     def size(self) -> float:
-        """Magnitude of the error."""
+        """Magnitude of the relative error `shift`."""
         return abs(self.shift)
 
     @property
@@ -91,9 +91,9 @@ def prediction_bound(shifts: Sequence[float]) -> float:
 def distance_to_limit(widths: Sequence[float], values: Sequence[float], value: float) -> float:
     """Return the relative difference of `value` from the value that is extrapolated to infinitely fine cells.
 
-    The extrapolated value is that at the width 0 of a straight line, which is fitted to the `values` at the `widths` of
-    the cells by least squares. For two widths, this is Richardson's extrapolation of first order. The result is
-    infinite for fewer than two widths.
+    The extrapolated value is the value at the width 0 on a straight line, which is fitted to the `values` at the
+    `widths` of the cells by least squares. For two widths, this is Richardson's extrapolation of first order. The
+    result is infinite for fewer than two widths.
     """
     if len(set(widths)) < 2:
         return math.inf

@@ -41,8 +41,8 @@ class Setting:
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Conversions of result quantities, by the quantity's name. They make results of runs with this setting comparable
-    with those of the scene as given. For example, a pipe of half the length needs about half the pressure. A conversion
-    is a pair (offset, factor) and gives offset + factor * (value - offset)."""
+    with results of the scene as given. For example, a pipe of half the length needs about half the pressure. A
+    conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""

@@ -24,8 +24,8 @@ from .trials import MIN_RUNS_FOR_MEDIAN, WorkerJob, run_worker_job, warm_up
 
 COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
 """Recording options of the runs on workers: frames per simulated second, and wall time between checkpoints [s]. The
-value 0 switches checkpoints off, because the wall time of a resumed run could not be compared with that of other
-runs."""
+value 0 switches checkpoints off, because the wall time of a resumed run could not be compared with the wall times of
+other runs."""
 Tell = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -271,9 +271,9 @@ class Trade(Judging):
 
     def folder_of(self, point: Setting, seed: int) -> Path:
         """Return the folder of the run of a setting with a random seed."""
-        # Name the folder after the parameters that differ from those of the scene as given (`self.base`). The mapping
-        # `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there as None
-        # if its default is None.
+        # Name the folder after the parameters that differ from the parameters of the scene as given (`self.base`). The
+        # mapping `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there
+        # as None if its default is None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}
         changed = {k: v for k, v in sorted(point.parameters.items())

@@ -44,8 +44,8 @@ def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     """Measure speed against accuracy of a scene function, such as ``warpcrete.scenes.pipe``.
 
     The settings `budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers` and
-    `progress`, and the errors raised, are those of :func:`run_trade`. All other keywords are parameters of the scene.
-    `out` is the new folder (default: runs/trade-NNN).
+    `progress`, and the errors raised, are explained in :func:`run_trade`. All other keywords are parameters of the
+    scene. `out` is the new folder (default: runs/trade-NNN).
     """
     name, module = module_of(scene)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}

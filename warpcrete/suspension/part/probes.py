@@ -69,7 +69,7 @@ class Census:
         return inside / (area * (high - low))
 
     def friction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m], and the frictional loss from each of them to the end of the part [Pa].
+        """Return arc lengths [m], and the frictional loss from each arc length to the end of the part [Pa].
 
         The axial stress is the sum of the stress in the flow and the stress due to forces between aggregates. A part of
         this sum carries the weight of the aggregates minus their buoyancy. This part is subtracted, because it is not
@@ -131,7 +131,7 @@ class Census:
 def measured(census: Census, before: np.ndarray, travel: float) -> tuple[dict[str, float], np.ndarray]:
     """Return the values of one row of the time series, and profiles along the part, shape (3, stations).
 
-    The profiles are the arc lengths of the stations [m], the loss from each of them to the end of the part [Pa], and
+    The profiles are the arc lengths of the stations [m], the loss from each station to the end of the part [Pa], and
     the volume fraction of aggregates there. `before` holds the arc lengths of the aggregates at the previous
     measurement [m]. The inflow has advanced by `travel` [m] since then.
     """

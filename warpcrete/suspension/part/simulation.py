@@ -27,7 +27,7 @@ STEADINESS = 0.05
 class PartSuspensionSimulation(AggregateRun, PartSimulation):
     """Simulation of mortar with aggregates in a part of a pump line.
 
-    Parameters and errors are those of :class:`warpcrete.Simulation`.
+    :class:`warpcrete.Simulation` explains its parameters and errors.
     """
 
     scene_type = PartSuspensionScene
@@ -91,7 +91,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return super().sizes() | self.aggregate_sizes()
 
     def friction_profile(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m] and the mean loss from each of them to the end of the part [Pa]."""
+        """Return arc lengths [m], and the mean frictional loss from each arc length to the end of the part [Pa]."""
         place, friction, _ = self._late()
         return place, friction
 

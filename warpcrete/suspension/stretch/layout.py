@@ -39,8 +39,8 @@ def stretch_room(scene: StretchScene) -> Room:
 def stretch_layout(scene: StretchScene) -> tuple[GridLayout, Aggregates]:
     """Return the layout of a stretch and its aggregates.
 
-    The driving force carries the weight of the aggregates beyond that of the mortar, so that the friction at the wall
-    balances the pressure gradient of the scene.
+    The driving force also carries the weight of the aggregates minus the weight of an equal volume of mortar, so that
+    the friction at the wall balances the pressure gradient of the scene.
     """
     room, concrete = stretch_room(scene), scene.concrete
 

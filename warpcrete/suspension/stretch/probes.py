@@ -59,7 +59,7 @@ def _ring_count(flow: SuspensionFlow) -> int:
 def velocity_profile(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return mean distances from the axis [m] and mean velocities along the pipe [m/s], for rings one cell wide.
 
-    The velocities are those of mortar and aggregates together.
+    The velocities are means over mortar and aggregates together.
     """
     (radius, ring), count = _columns(flow), _ring_count(flow)
     (speed, part), inside = _along(flow), ring < count
@@ -101,8 +101,8 @@ def mean_radius(flow: SuspensionFlow) -> float:
 def section_of_cells(flow: SuspensionFlow) -> float:
     """Return the cross-sectional area of a cell [m2], by which velocities are multiplied to get the volume flow.
 
-    For a flow between planes, the area is scaled so that the volume flow becomes that of a round pipe with the same
-    mean velocity. The radius of this pipe is half the distance of the planes.
+    For a flow between planes, the area is scaled so that the result is the volume flow through a round pipe with the
+    same mean velocity. The radius of this pipe is half the distance of the planes.
     """
     scene, width = flow.scene, flow.state.layout.room.width
     ratio = np.pi * scene.radius / (2 * scene.depth) if scene.depth else 1.0

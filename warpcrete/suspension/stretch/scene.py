@@ -176,8 +176,8 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     def starting_time(self) -> float:
         """Estimated time until the flow of a constant pressure gradient has reached 98 % of its steady value [s].
 
-        The flow approaches its steady value exponentially. The time constant is that of a Newtonian fluid in a pipe
-        (Szymanski 1932), with the driving force reduced by the yield stress.
+        The flow approaches its steady value exponentially. The time constant is taken from a Newtonian fluid in a pipe
+        (Szymanski 1932), but with a driving force that is reduced by the yield stress.
 
         A slip layer with a yield stress delays the start. At first, the slip velocity is as low as if the mortar stuck
         to the wall. Each step uses the ratio of friction to slip velocity from the step before. The slip velocity
@@ -201,7 +201,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     def settling(self) -> float:
         """Speed at which a single aggregate of the largest size settles or rises in mortar without yield stress [m/s].
 
-        The speed is that of Stokes' law, with the viscosity of the mortar at low shear.
+        The speed follows from Stokes' law, with the viscosity of the mortar at low shear.
         """
         weight = abs(self.aggregate_density - self.concrete.density) * self.gravity
         return 2 / 9 * weight * (self.diameters[1] / 2) ** 2 / self.concrete.viscosity

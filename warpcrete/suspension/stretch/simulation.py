@@ -20,7 +20,7 @@ from .scene import STEADY, StretchScene
 
 
 class StretchSimulation(AggregateRun):
-    """Simulation of a stretch of pipe; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Simulation of a stretch of pipe; :class:`warpcrete.Simulation` explains its parameters and errors."""
 
     scene_type = StretchScene
     scene: StretchScene
