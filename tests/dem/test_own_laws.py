@@ -130,7 +130,7 @@ MISTAKES = {
     "no dataclass": (
         "@dataclass(frozen=True, kw_only=True)\nclass",
         "class",
-        r"is not a dataclass of its own; write @dataclass",
+        r"in a class without a @dataclass decorator of its own; write @dataclass",
     ),
     "frictionless returns nothing": (
         "return replace(self, friction",

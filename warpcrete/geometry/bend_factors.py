@@ -28,7 +28,7 @@ def with_bend_factor(parts: Sequence[Part], given: Any) -> tuple[Part, ...]:
             # The measuring errors of pressure gauges may exceed the friction of the bends. The range of a fitted factor
             # may therefore begin at 0.
             smallest = 0.0 if key == "low" else FACTORS[0]
-            between(f"bend_factor: {key}", found[key], smallest, FACTORS[1], "", "it is the friction of a bend "
+            between(f"bend_factor: {key}", found[key], smallest, FACTORS[1], "", "a factor is the friction of a bend "
                     "divided by the friction of straight pipe of the same length")  # fmt: skip
     if "factor" not in found or len(found) == 2:
         refuse("bend_factor", dict(entries), "must have 'factor', and both or none of 'low' and 'high'", EXAMPLE)

@@ -28,7 +28,7 @@ class Bores:
 
     def __post_init__(self) -> None:
         if len(self.places) != len(self.radii) or not self.places or np.any(np.diff(self.places) <= 0):
-            problem = "must be distances along the axis, each above the one before, with one radius for each"
+            problem = "must be rising distances along the axis, with one radius for each distance"
             refuse("bores", self.places, problem)
         if min(self.radii) <= 0:
             refuse("bores", min(self.radii), "must be above 0 m")

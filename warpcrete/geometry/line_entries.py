@@ -24,7 +24,7 @@ BEND_FACTOR = {
 factor."""
 PARTS = {
     "straight": {
-        "length": ("m", "Length of its axis"),
+        "length": ("m", "Length of the pipe's axis"),
         "rise": ("m", "Height gained; only checked against the direction of the line"),
         "diameter": ("m", "Inner diameter; only checked against the part before it"),
     },
@@ -39,7 +39,7 @@ PARTS = {
         "points": ("m", "Points of the hose's axis relative to its start: distance ahead, to the left, up"),
         "layer": ("1", "Resistance of the hose's slip layer divided by the resistance of the slip layer in a pipe"),
     },
-    "valve": {"length": ("m", "Length of its axis; default: four diameters")},
+    "valve": {"length": ("m", "Length of the valve's axis; default: four diameters")},
     "bore": {
         "file": (
             "",

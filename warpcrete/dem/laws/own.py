@@ -69,7 +69,7 @@ def check_class(law: type) -> None:
             refuse(
                 base.__name__,
                 words,
-                "are annotated in a class that is not a dataclass of its own",
+                "are annotated in a class without a @dataclass decorator of its own",
                 "write @dataclass(frozen=True, kw_only=True) above the class",
             )
     code = getattr(inspect.unwrap(getattr(law.device_functions, "__func__", law.device_functions)), "__code__", None)

@@ -216,8 +216,8 @@ QUANTITIES = (
              meaning="Value of `segregation` at the start, which is not zero, because stones keep a distance from the "
                      "wall"),
     Quantity("size_segregation", "1", _large_outward,
-             meaning="Fraction of large stones in the aggregate of the outer half of the radius, minus that of the "
-                     "inner half"),
+             meaning="Fraction of large stones in the aggregate of the outer half of the radius, minus the "
+                     "fraction in the inner half"),
     Quantity("mixing", "1", _at_end("mixing"),
              meaning="Lacey's mixing index of large and small stones at the end: 0 if they are separate, 1 if mixed "
                      "at random"),

@@ -17,7 +17,7 @@ from ..scene.scene import Blockage, Wear
 
 FixedTimeStep = Annotated[float | None, "Fixed time step [s]; default: automatic", Above()]
 Safety = Annotated[
-    float, "Automatic time step, divided by the estimated longest stable one; a value above 1 overrules this estimate"
+    float, "Automatic time step, divided by the estimated longest stable step; a value above 1 overrules this estimate"
 ]
 EnergyBalance = Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"]
 Precision = Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)]
@@ -134,7 +134,7 @@ class StrokeParameters:
     ] = 0.5
     breakdown: Annotated[
         float,
-        "Slip along the wall over which the yield stress that the layer gained at rest falls to 1/e of it [m]",
+        "Slip along the wall after which 1/e of the yield stress that the layer gained at rest is left [m]",
         Above(),
         RESTED,
     ] = 0.1
@@ -202,7 +202,7 @@ class AggregateParameters:
     ] = None
     solid_fraction: Annotated[
         float | None,
-        "Solid fraction of the packing; default: the one with which the packing has the pressure of the plug",
+        "Solid fraction of the packing; default: the fraction at which the packing has the pressure of the plug",
     ] = None
 
 

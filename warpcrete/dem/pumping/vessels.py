@@ -92,7 +92,7 @@ class LawParameters:
         OneOf(LAWS),
         OWN_LAW,
     ] = "rolling"
-    modulus: Annotated[float | None, "Effective modulus of contacts, with the law mortar that of the cores [Pa]; "
+    modulus: Annotated[float | None, "Effective modulus of contacts, or of the cores with the law mortar [Pa]; "
         "default: 1e6 with the laws mortar and plastic, else 1e5", Above(), OWN_LAW] = None  # fmt: skip
     stiffness_ratio: Annotated[float, "Ratio of normal to shear stiffness", Above(), OWN_LAW] = 2.0
     friction: Annotated[
@@ -136,12 +136,12 @@ class LawParameters:
     friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
     healing: Annotated[bool, "Bond bodies when they begin to touch each other during the run", WITH_BONDS] = True
     plate_grip: Annotated[
-        float, "Ratio of friction, yield stress and viscosity on the plate to those between grains", Within(0)
+        float, "Friction, yield stress and viscosity on the plate, divided by their values between grains", Within(0)
     ] = 2.0
     mould_grip: Annotated[
         float | None,
-        "Ratio of friction, yield stress and viscosity on mould, gate, bars and sides to those between grains; 0: "
-        "concrete slides freely; default: 1 in a funnel with laws mortar and plastic, else 0",
+        "Friction, yield stress and viscosity on mould, gate, bars and sides, divided by their values between grains; "
+        "0: concrete slides freely; default: 1 in a funnel with laws mortar and plastic, else 0",
         Within(0),
     ] = None
 

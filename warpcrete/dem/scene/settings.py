@@ -63,7 +63,7 @@ class TimeStep(Declared):
     fixed: Annotated[float | None, "Fixed time step [s]; None: computed from masses and current stiffness"] = None
     safety: Annotated[
         float,
-        "Ratio of the time step to the estimated stable one; a value above 1 overrules the estimate, also for "
+        "Ratio of the time step to the estimated stable step; a value above 1 overrules the estimate, also for "
         "a fixed step",
         Within(1e-3, 10),
     ] = 0.8
@@ -178,7 +178,7 @@ class Rest(Declared):
     at: Annotated[float, "Simulated time at which the rest takes place [s]", Within(0)]
     duration: Annotated[float, "Duration of the rest [s]", Within(0)]
     growth: Annotated[float, "Growth rate A_thix of the yield stress [Pa/s]", Within(0)] = 0.5
-    breakdown: Annotated[float, "Slip over which the layer's gained yield stress falls to 1/e [m]", Above()] = 0.1
+    breakdown: Annotated[float, "Slip after which 1/e of the layer's gained yield stress is left [m]", Above()] = 0.1
     coverage: Annotated[
         float,
         "Area on which a layer acts (pi r^2 of every contact) divided by the area of the wall; the gained "

@@ -73,9 +73,9 @@ class SieveCurve:
         if not np.all(np.isfinite(openings)) or not np.all(np.isfinite(passing)):
             refuse("openings", self.openings, "must contain only finite numbers, and so must 'passing'")
         if openings.ndim != 1 or len(openings) < 2 or len(openings) != len(passing):
-            refuse("openings", self.openings, "must be two or more, with one fraction in 'passing' for each")
+            refuse("openings", self.openings, "must be two or more, with one fraction in 'passing' for each opening")
         if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):
-            refuse("openings", self.openings, "must be above 0 m, and each must exceed the one before")
+            refuse("openings", self.openings, "must be above 0 m, and each must exceed the opening before it")
         if passing[0] != 0 or passing[-1] != 1 or np.any(np.diff(passing) < 0):
             refuse("passing", self.passing, "must increase from 0 to 1, without falling in between")
         object.__setattr__(self, "openings", tuple(openings.tolist()))
