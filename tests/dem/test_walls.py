@@ -1,5 +1,6 @@
 """Motion of walls, the sums of forces and work on them, and contacts that turn with them."""
 
+import dataclasses
 import math
 import warnings
 from contextlib import nullcontext
@@ -143,6 +144,28 @@ def test_wall_impulse_and_moment_are_those_of_the_forces(start, steps):
     assert abs(change[2]) > 0.1 * 0.5 * MASS
     assert -impulse == pytest.approx(change, rel=1e-9, abs=1e-12)
     assert angular == pytest.approx(np.cross([0.2, 0, 0], impulse), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("mesh", [False, True], ids=["plane", "mesh"])
+def test_work_of_a_wall_at_constant_speed_is_its_impulse_times_its_speed(start, mesh):
+    """The work on the concrete is that of force and moment, also in steps of different lengths."""
+    speed, spin = np.array([0.1, 0.0, 0.4]), np.array([0.0, 0.0, 2.0])
+    given = dict(name="floor", motion=Prescribed(velocity=tuple(speed), spin=tuple(spin)))
+    wall = PlaneWall(point=(0, 0, 0), normal=(0, 0, 1), **given)
+    if mesh:
+        vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        wall = MeshWall(vertices=vertices, faces=np.array([[0, 1, 2], [0, 2, 3]]), **given)
+    rough = Contact(friction=0.4, shear_damping_ratio=0.1)
+    scene = dataclasses.replace(sphere_scene((wall,), [[0.05, 0.02, RADIUS]], 1e-5, [[0, 0, -0.5]]), contact=rough)
+    stepper = start(scene)
+    for count in (3, 1, 4, 2, 5) * 4:
+        stepper.time_step = TimeStep(fixed=1e-5 * count)
+        stepper.choose_dt()
+        stepper.take(count)
+    walls = stepper.state.walls
+    impulse, angular, work = (getattr(walls, name).numpy()[0] for name in ("impulse", "angular_impulse", "work"))
+    assert abs(angular[2]) > 1e-8 and np.linalg.norm(impulse) > 0.1 * 0.5 * MASS
+    assert work == pytest.approx(-impulse @ speed - angular @ spin, rel=1e-9)
 
 
 def test_work_of_a_moving_wall_is_the_energy_it_gives(start):

@@ -133,6 +133,29 @@ def test_momentum_balance_of_a_made_up_series():
     assert math.isnan(results(known_of([0.0], [1.0]))["momentum_balance_error"])
 
 
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({}, 0.0),
+        ({"dissipated_energy": 1.4}, -0.6 / 12),  # divided by the work
+        ({"potential_energy": 12.0}, 3 / 12),
+        ({"drive_work": -5.0, "dissipated_energy": 2.0}, 10 / 2),  # The work is only 2 J.
+        ({"drive_work": -7.0, "dissipated_energy": -8.5}, 1.5 / 8.5),  # divided by the dissipation
+        ({"kinetic_energy": 24.0, "dissipated_energy": -22.0 + 0.3}, 0.3 / 25),  # divided by that of motion and springs
+        ({"bond_energy": 3.0, "wall_work": 10.0}, 0.0),
+    ],
+)
+def test_energy_balance_of_a_made_up_series(changes, error):
+    """A piston works 7 J and a driving force 5 J, which lift the concrete by 9 J, load its springs with 1 J and leave
+    2 J for friction; all grow evenly."""
+    time = np.linspace(0, 1, 21)
+    ends = {"kinetic_energy": 0.0, "potential_energy": 9.0, "elastic_energy": 1.0, "bond_energy": 0.0,
+            "dissipated_energy": 2.0, "wall_work": 7.0, "drive_work": 5.0} | changes  # fmt: skip
+    columns = {name: end * time for name, end in ends.items()}
+    known = known_of(time, np.ones(21), **columns)
+    assert results(known)["energy_balance_error"] == pytest.approx(error, abs=1e-12)
+
+
 def test_results_have_units_and_the_report_is_in_those_that_people_read():
     known = known_of(np.linspace(0, 1, 11), np.full(11, 12_345.0))
     result = results(known)
