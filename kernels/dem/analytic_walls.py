@@ -232,9 +232,9 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
     sphere and divide its walls among them; their results are added up in the order of the walls. All threads of a warp
     of `width` must call `on_walls`; a thread without a sphere passes False for `here`.
 
-    Most spheres are far from all fixed walls. Each sphere stores the position where it last measured its distance to
-    the nearest fixed wall, and that distance. `far_from_walls` uses this position and distance to decide if the sphere
-    can skip the fixed walls.
+    Most spheres are far from all fixed walls. Each sphere stores its position at the last measurement of its distance
+    to the nearest fixed wall, and the measured distance. `far_from_walls` uses this position and distance to decide if
+    the sphere can skip the fixed walls.
     """
     t = types(scalar)
     SceneRow = scene_struct(scalar)
@@ -339,7 +339,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 def wall_kernel(scalar, law, dissipation: bool, wear: bool) -> wp.Kernel:
     """Return the CPU kernel that adds the forces of planes and pipes to the spheres.
 
-    Two separate kernels, for walls and for contacts between spheres, are faster than a joint one: clang inlines a
+    Two separate kernels, for walls and for contacts between spheres, are faster than a joint kernel: clang inlines a
     contact law that a kernel calls once, but not a law that it calls twice.
     """
     structs = array_structs(scalar)

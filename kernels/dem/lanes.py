@@ -95,7 +95,7 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
     """Return where the values of each quantity begin in the two arrays of the vector lanes, and the arrays' sizes.
 
     A vector lane is one of the contacts that a CPU computes at the same time. One array holds floating-point numbers,
-    the other integers. Each scalar quantity occupies LANES consecutive elements, one for each lane.
+    and the other array holds integers. Each scalar quantity occupies LANES consecutive elements, one for each lane.
     """
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})

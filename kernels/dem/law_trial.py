@@ -12,9 +12,10 @@ from .contact_law import contact_functions
 def law_trial_kernel(scalar, law):
     """Return a kernel that evaluates a contact law along a prescribed path, between two spheres and at a wall.
 
-    All its arrays have the shape (2, steps); thread 0 takes the two spheres, and thread 1 the sphere at a wall. A path
-    is given by the gap between the surfaces [m], the speed at which the gap opens [m/s], and the speed at which body b
-    slides along body a [m/s]. Body b also rolls at this speed. If `keep` is 0, each step begins with a zero history.
+    All its arrays have the shape (2, steps); thread 0 evaluates the two spheres, and thread 1 evaluates the sphere at a
+    wall. A path is given by the gap between the surfaces [m], the speed at which the gap opens [m/s], and the speed at
+    which body b slides along body a [m/s]. Body b also rolls at this speed. If `keep` is 0, each step begins with a
+    zero history.
     """
     t = types(scalar)
     f = contact_functions(scalar)

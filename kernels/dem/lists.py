@@ -1,6 +1,6 @@
 """Kernels that build neighbour (Verlet) lists from the result of a search.
 
-They copy contact histories and bonds from the old lists to the new ones without any change. All kernels run over all
+They copy contact histories and bonds from the old lists to the new lists without any change. All kernels run over all
 scenes of a batch. They skip scenes whose lists are still valid and leave these lists unchanged.
 """
 

@@ -11,7 +11,7 @@ from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .structs import array_structs
 
-# Number of list entries that are checked at a time. Each has one bit in an int32, whose sign bit is not used.
+# Number of list entries that are checked at a time. Each entry has one bit in an int32, whose sign bit is not used.
 BLOCK: int = wp.constant(31)
 # Mask with all bits set. It is stored after a list rebuild, so that every pair counts as having touched in the previous
 # step.

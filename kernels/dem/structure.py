@@ -28,7 +28,7 @@ def breakdown_kernel(scalar, law) -> wp.Kernel:
         own_yield: wp.array(dtype=scalar),
         # yield stress gained at rest [Pa], one value per scene; 0 before a rest
         gained: wp.array(dtype=wp.float64),
-        # slip distance after which the gained yield stress has fallen to 1/e [m], one value per scene
+        # slip distance after which 1/e of the gained yield stress is left [m], one value per scene
         breakdown: wp.array(dtype=wp.float64),
         # travel of the wall when slip began [m], one value per scene
         begun: wp.array(dtype=wp.float64),

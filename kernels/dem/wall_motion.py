@@ -107,8 +107,8 @@ def motion_functions(scalar, strokes: bool):
         half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
         speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
         if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
-            # The error code of a failed wall is negative, and that of a failed body is positive. The minimum of the
-            # codes is stored, so a wall takes precedence over bodies that fail at the same time on a GPU.
+            # The error code is negative for a failed wall and positive for a failed body. The minimum of the codes is
+            # stored, so a wall takes precedence over bodies that fail at the same time on a GPU.
             wp.atomic_min(flags, s, FAILED, -1 - (w - scenes.row[s].walls))
         walls.velocity_exact[w] = speed * direction
         walls.position_exact[w] = walls.position_exact[w] + dt * speed * direction

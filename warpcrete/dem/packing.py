@@ -40,7 +40,7 @@ CHUNK = 50  # Number of time steps between two evaluations of the pressure of a 
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # Solid fraction that no packing of aggregates reaches at pressures of kilopascals.
 # The pressure of a packing is evaluated at intervals and compared with the wanted pressure. After this number of
-# consecutive evaluations in which it was always too high, or always too low, the sizes are changed faster.
+# consecutive evaluations in which the pressure was always too high, or always too low, the sizes are changed faster.
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # Largest factor by which the adjustment of sizes to a wanted pressure is sped up.
 

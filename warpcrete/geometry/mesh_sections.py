@@ -239,8 +239,8 @@ def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np
     if len(chosen) == 3:
         before = chosen[1] - chosen[2]
         behind = float(np.linalg.norm(before))
-        # The slope of a parabola at its end is the slope of the last chord plus the change of slope from the previous
-        # chord, multiplied by the length of the last chord divided by the length of both chords.
+        # The slope of a parabola at its end is the slope of the last chord plus a share of the change of slope from the
+        # previous chord. The share is the length of the last chord divided by the length of both chords.
         slope = slope + (slope - before / behind) * length / (length + behind)
     return slope / np.linalg.norm(slope)
 

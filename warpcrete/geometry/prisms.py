@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:  # Do not import trimesh at run time, because that takes half a second.
+if TYPE_CHECKING:  # Do not import trimesh at run time, because the import takes half a second.
     import trimesh
 
 SIDES = 48

@@ -8,7 +8,7 @@ import numpy as np
 
 from .meshes import signed_distance
 
-if TYPE_CHECKING:  # Do not import trimesh at run time, because that takes half a second.
+if TYPE_CHECKING:  # Do not import trimesh at run time, because the import takes half a second.
     import trimesh
 
 

@@ -317,8 +317,8 @@ class RerunRecorder(Recorder):
         # Tensors in Rerun's format for the heights of the bars of a bar chart, by the number of bars. They are kept
         # because replacing the values of a tensor is faster than creating a new one.
         self._tensors: dict[int, Any] = {}
-        # Positions of the bars of bar charts, and of surface vertices, that were recorded last. The key is their path
-        # in the recording.
+        # Positions of the bars of bar charts, and of surface vertices, that were recorded last. The key is the path of
+        # the bar chart or surface in the recording.
         self._places: dict[str, np.ndarray] = {}
         # The viewer keeps one layout for each application name, so each kind of scene needs an application name of its
         # own.

@@ -90,7 +90,8 @@ class Simulation(CheckpointedSimulation):
             positive("frame_interval", frame_interval, "s")
         if out is not None:
             self._use_folder(output_of(out))
-        # These recorders get no frames of their own, so they cost no time between samples.
+        # Recorders that every run without a folder has get no frames of their own, so they cost no time between
+        # samples.
         self._more_recorders = [] if out is not None else list(recorders_without_folder(self))
         self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling

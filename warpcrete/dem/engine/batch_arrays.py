@@ -23,7 +23,7 @@ from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Wal
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
-"""Fraction of its memory above which a list is also enlarged whenever the list of another scene must be enlarged.
+"""If one list must be enlarged, all other lists that fill more than this fraction of their memory are enlarged, too.
 
 Enlarging a list replaces arrays of the batch and discards all recorded launches, so it should happen rarely.
 """

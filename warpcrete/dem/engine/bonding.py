@@ -26,7 +26,7 @@ def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int =
 
     If `group` is not -1, only pairs inside the body group of this number are bonded. Returns the number of bonds of
     this `kind` afterwards. The neighbour list must be up to date and must contain all pairs up to the gap. Raises
-    :class:`CapacityError` if there are more bonds than the integers that number them allow.
+    :class:`CapacityError` if there are more bonds than a 32-bit integer can number.
     """
     make, _ = bond_kernels(model.scalar)
     before = state.pairs.bond.numpy().copy()

@@ -26,7 +26,7 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
 
 
 def _others(batch: Batch) -> list[Stage | Kernel]:
-    """Return all other kernels: for measurements, for bonds, and for copying the motion of spheres to their bodies."""
+    """Return the kernels for measurements, for bonds, and for copying the motion of spheres to their bodies."""
     f, scalar = batch.features, batch.scalar
     found: list[Stage | Kernel] = [
         probes.body_probe(scalar),

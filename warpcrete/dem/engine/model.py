@@ -337,7 +337,7 @@ def _law_table(
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
     kinds = {type(c) for c in met}
     if len(kinds) > 1:
-        # Two files may define classes of the same name.
+        # If two files define classes of the same name, the message also names their modules.
         names = {kind.__name__ for kind in kinds}
         names = names if len(names) == len(kinds) else {f"{kind.__module__}.{kind.__name__}" for kind in kinds}
         hint = "use one class of contact law between bodies, and one between bodies and walls"

@@ -42,8 +42,8 @@ sphere."""
 KEPT = 32
 """Maximum number of neighbours per sphere that a GPU stores when it counts them.
 
-The GPU later copies these neighbours into the lists, so that it need not search twice. Only for a sphere with more
-neighbours is the search repeated.
+The GPU later copies these neighbours into the lists, so that it need not search twice. The search is repeated only for
+a sphere with more neighbours.
 """
 MOST_KEPT = 64
 """Larger value for `KEPT`, used after some sphere has had more than `KEPT` but at most `MOST_KEPT` neighbours."""
@@ -86,9 +86,9 @@ class NeighborLists:
         self._searchers = self._searchers_for(n)
         self._finds = new((0, 0) if f.half_list else (KEPT, n))
         self._boxes = new((batch.threads, 2), t.vec3)
-        # `_total` receives the number of neighbour list entries of each scene, and `_face_total` the number of mesh
-        # candidates. The last element of `_total` receives the largest number of neighbours of a sphere for which the
-        # search buffer `_finds` was too small.
+        # `_total` receives the number of neighbour list entries of each scene, and `_face_total` receives the number of
+        # mesh candidates. The last element of `_total` receives the largest number of neighbours of a sphere for which
+        # the search buffer `_finds` was too small.
         self._total, self._face_total = new(scenes + 1), new(scenes + 1)
         self._identity = DeviceArray(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = new(n), new(n)

@@ -112,7 +112,7 @@ class _Drive:
     def launch(self) -> None:
         """Launch the next time steps of the batch.
 
-        After an interruption, raise it inside the coroutines instead.
+        After an interruption, raise the interruption inside the coroutines instead.
         """
         self._guarded(self._launch)
 

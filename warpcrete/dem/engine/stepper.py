@@ -69,16 +69,16 @@ class Stepper:
 
         `among` is a tuple of the neighbour lists of the existing batch, its :class:`StableStep`, and the index of the
         scene in the batch. `resumed` is the `state_dict` of an earlier stepper, whose work the new stepper continues,
-        or None. `skin` is the largest gap of a listed pair [m] and `sort_every` the number of steps between two
-        re-sortings of the bodies in memory; only tests set these two.
+        or None. `skin` is the largest gap of a listed pair [m], and `sort_every` is the number of steps between two
+        re-sortings of the bodies in memory; only tests set these two arguments.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        # `running` becomes True at t = 0, after the preparation of the scene. Before t = 0, an unstable fixed step
-        # raises a SceneError, and from then on an InstabilityError.
+        # `running` becomes True at t = 0, after the preparation of the scene. An unstable fixed step raises a
+        # SceneError before t = 0 and an InstabilityError afterwards.
         self.running = False
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._goal_is_steps = False

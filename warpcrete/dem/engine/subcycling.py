@@ -217,9 +217,9 @@ class Subcycles:
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the bodies of scene `s` that have stiff bonds, and the ends of these bonds on each body.
 
-        Each sub-cycled pair k has two ends: 2k is the sphere with the lower permanent number, and 2k + 1 the other
+        Each sub-cycled pair k has two ends: 2k is the sphere with the lower permanent number, and 2k + 1 is the other
         sphere. The first array contains the permanent numbers of the bodies, in ascending order. The second array
-        contains the number of ends on each body. The third array lists the ends of the first body, then those of the
+        contains the number of ends on each body. The third array lists the ends of the first body, then the ends of the
         second body, and so on.
         """
         pairs = self._by_scene[s]

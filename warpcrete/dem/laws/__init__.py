@@ -1,8 +1,8 @@
 """Contact laws, one file each: parameters for a pair of materials, and functions that compute forces on a device.
 
 Modules here import `core` and the kernels, but nothing else of `dem`. Start with `base`, the interface of a law, and go
-on with `linear`. A user can write another law anywhere, as a class like those here, and pass it to a scene as `contact`
-or in `contacts`.
+on with `linear`. A user can write another law anywhere, as a class like the classes of this package, and pass it to a
+scene as `contact` or in `contacts`.
 """
 
 from .base import ContactLaw, damping_ratio, own_laws

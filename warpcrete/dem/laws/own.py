@@ -1,7 +1,7 @@
 """Checks of a contact law's class and of its Warp functions, for laws from outside of this package.
 
 A law of the package is tested before it is released. A law of a user is tested here, before its first run: first the
-class itself, then what Warp says about the functions, and in `trial` the forces and energies.
+class itself, then its functions, which Warp compiles, and finally the forces and energies (in `trial`).
 """
 
 import __future__
@@ -52,7 +52,7 @@ _STORED = {
     "on_a, ": ("force", 0),
     "torque, ": ("moment", 0),
 }
-"""Warp function of which a statement of `kernels/dem/law_trial.py` uses a result, and the index of this result.
+"""Warp function whose result a statement in `kernels/dem/law_trial.py` uses, and the index of this result.
 
 The keys are the beginnings of these statements.
 """
@@ -99,7 +99,8 @@ def check_class(law: type) -> None:
 
 
 def _without_decorator(base: type) -> bool:
-    """Return whether a class inherits fields of a dataclass and annotates more, but is no dataclass itself."""
+    """Return whether a class inherits fields of a dataclass and annotates further fields, but is not a dataclass
+    itself."""
     known = getattr(base, "__dataclass_fields__", None)
     own = {key for key, kind in inspect.get_annotations(base).items() if "ClassVar" not in str(kind)}
     return known is not None and "__dataclass_fields__" not in vars(base) and bool(own)

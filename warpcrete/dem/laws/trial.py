@@ -31,7 +31,8 @@ STEPS = 2000
 DEEPEST = 0.5
 """Deepest overlap on the path of a trial, divided by the radius of the spheres."""
 FIRST_STEP = 60
-"""Step from which work and energy are compared; before it, few steps are too coarse for a force that jumps."""
+"""First step at which work and energy are compared. Before this step, the path has too few steps for a force that
+jumps."""
 ENERGY_TOLERANCE = 0.05
 """Largest difference of work and energy, divided by the work that was done so far."""
 TOLD_SHARE = 0.5
@@ -72,7 +73,8 @@ class Circumstances:
 
 
 def check_own_laws(bodies: Iterable[ContactLaw], walls: Iterable[ContactLaw], where: Circumstances) -> None:
-    """Try the contact laws between `bodies`, and those on `walls`, if one of them comes from outside of the package.
+    """Try the contact laws between `bodies` and the contact laws on `walls`, if one of them is defined outside the
+    package.
 
     Raises :class:`SceneError`, which names the function that is wrong, what it returned and what to try. The check
     covers the law for packing that the method `frictionless` returns.
@@ -262,7 +264,7 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
     """Check that the work of the force on a path is the change of the stored energy plus the energy lost."""
     name = type(law).__name__
     step = found.work.copy()
-    step[:, 0] = step[:, 1]  # At the gap 0 a law may not act yet.
+    step[:, 0] = step[:, 1]  # A law may not act yet at the gap 0, so use the next value instead.
     step = 0.5 * (step[:, 1:] + step[:, :-1])
     work, scale = np.cumsum(step, axis=1), np.cumsum(np.abs(step), axis=1)
     lost = np.cumsum(found.lost[:, 1:], axis=1)

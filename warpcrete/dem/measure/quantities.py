@@ -247,7 +247,7 @@ def _gradient_words(name: str):
 
 def _middle_words(run: Run) -> str:
     loss = f"{number(run.result['middle_loss']) / 1e3:.3g} kPa"
-    # The ratio is missing if the wall stress at an end of the middle is not positive.
+    # The result `middle_ratio` is missing if the wall stress is not positive at one end of the middle part.
     if "middle_ratio" not in run.result:
         return loss
     return f"{loss}, {run.result['middle_ratio']:.2f} times the loss of an equally long straight pipe next to it"

@@ -192,7 +192,8 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the order of magnitude of the stress in strongly compressed contacts [Pa]: the modulus of a linear law."""
+    """Return the order of magnitude of the stress in strongly compressed contacts [Pa]; for a linear law it is the
+    modulus."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 
@@ -260,5 +261,5 @@ def coarser(given: AggregateParameters, factor: float) -> Level:
     names = ("size_min", "size_max", "size_mean", "size_deviation")
     sizes = {name: factor * getattr(given, name) for name in names if getattr(given, name) is not None}
     # The computing time scales as factor^-4, because the number of aggregates scales as factor^-3 and the number of
-    # time steps as factor^-1.
+    # time steps scales as factor^-1.
     return Level(f"x {factor:g}", sizes, factor**-4)

@@ -363,8 +363,8 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
     as the concrete.
 
     Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed forms, slumps
-    deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a
-    cone stands whole, where the closed form gives a slump of 78 mm.
+    deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads deviate by less than 7 % at 100 to 200 Pa. At
+    1000 Pa a cone stands whole, where the closed form gives a slump of 78 mm.
     """
     slides, square, closes = shear_means()
     filled = 0.75 * CONTACTS * given.packed
@@ -380,8 +380,8 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
 
     In a simple shear of rate 1, all contacts together dissipate as much as the concrete, as in :func:`mortar_law`. Let
     n be the direction of a contact and D the strain rate tensor. The dissipation of a contact has two parts. One part
-    is the yield stress times |D n|, whose mean is pi/8. The other part is the viscosity over the shell thickness, times
-    |D n|^2, whose mean is 1/6.
+    is the yield stress times |D n|, whose mean is pi/8. The other part is the viscosity divided by the shell thickness,
+    times |D n|^2, whose mean is 1/6.
 
     The tension of the shells, in units of the yield stress, does not follow from properties of the concrete. It was
     chosen by trial simulations of a slump cone with a yield stress of 1000 Pa. With a tension of 2.5 the cone slumps by

@@ -269,7 +269,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     if len(chosen) < spheres:
         refuse("spheres", spheres, f"must be at most {len(chosen)} for this mesh at resolution {resolution}")
     centres, radii = points[chosen], depth[chosen]
-    # Find by bisection the length to add to all radii at which the union has the volume of the mesh.
+    # Find by bisection the length that must be added to all radii to give the union the volume of the mesh.
     low, high = 0.0, float(mesh.volume) ** (1 / 3)
     for _ in range(30):
         middle = 0.5 * (low + high)

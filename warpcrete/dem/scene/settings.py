@@ -166,9 +166,9 @@ class Rest(Declared):
     bonds, and to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry,
     and contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a body group do not
     change. A bond that breaks after the rest stays broken. If the scene lets bonds heal, a bond that heals has the
-    strength from before the rest.
+    strength that bonds had before the rest.
 
-    Slip on the wall wears off what the layer gained: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
+    Slip on the wall reduces the gain of the layer: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
     the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest, so it
     takes no time steps.
     """
