@@ -45,8 +45,8 @@ def cpu_flags() -> str:
     """Return the compiler flags of the CPU kernels that take most of the time.
 
     Fused multiply-add makes these kernels a tenth faster. In single precision, AVX2 is faster by another tenth than
-    AVX-512. The LLVM options must be the same as those of all other kernels: a process has only one set of them, and
-    kernels with different options could not be compiled in parallel.
+    AVX-512. The LLVM options must be the same as the options of all other kernels: a process has only one set of them,
+    and kernels with different options could not be compiled in parallel.
     """
     try:
         features = set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split())

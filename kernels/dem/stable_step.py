@@ -1,4 +1,5 @@
-"""Kernels that estimate the stable time step from masses, current stiffness and dashpots, bonds included.
+"""Kernels that estimate the stable time step from masses, and from the current stiffness and dashpots of contacts and
+bonds.
 
 For each body, the 3x3 stiffness K and damping C of all its touching or bonded contacts are added up. The same is done
 for rotation about the centroid, from the lever arms of contacts and the moments of bonds; these matrices are rotated to

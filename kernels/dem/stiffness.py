@@ -115,8 +115,8 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
     """Return the function `counts`, which returns true if the pair of a list entry is in contact or bonded.
 
     With `subcycling` there are two kinds of pairs: pairs with stiff bonds, which are computed in several rounds per
-    step, and all others. If the argument `stiff` of the function is true, it accepts only pairs of the first kind, else
-    only the others.
+    step, and all others. If the argument `stiff` of the function is true, it accepts only pairs of the first kind;
+    otherwise it accepts only the other pairs.
     """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -148,8 +148,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
 
     - Full list (GPU): a group of `lanes` threads shares the list of a sphere. Each thread adds every `lanes`-th pair
       that touches or is bonded.
-    - Half list (CPU): a thread adds each listed pair to sphere i, and also to the other sphere if that one belongs to
-      the same thread.
+    - Half list (CPU): a thread adds each listed pair to sphere i, and also to the other sphere if that sphere belongs
+      to the same thread.
 
     With `subcycling`, the sums contain only pairs with stiff bonds (`stiff` true), or only the others. Listed pairs
     that neither touch nor are bonded add nothing. The sums therefore do not depend on the time of the last list

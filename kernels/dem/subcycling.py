@@ -4,8 +4,8 @@ Bonds of hydrated contacts are so stiff that leapfrog needs a tenth or a hundred
 allow. A time step with sub-cycling has three parts. First, the contact kernels evaluate all contacts other than pairs
 in a stiff bond. Second, bodies without stiff bonds move by one leapfrog step, as without sub-cycling. Third, bodies
 with stiff bonds go through several rounds of velocity Verlet, from the middle of the previous step to the middle of
-this one. Each round recomputes the forces of the stiff pairs (contact and bond); all other forces stay constant through
-the step.
+this step. Each round recomputes the forces of the stiff pairs (contact and bond); all other forces stay constant
+through the step.
 
 The contact kernels need positions at the end of a step. For a body with stiff bonds they use its position extrapolated
 with its velocity. For a group of bodies that moves as a whole this scheme equals leapfrog (half a drift, kick, half a

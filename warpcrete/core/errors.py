@@ -18,8 +18,8 @@ LONGEST_MESSAGE = 2000
 """Maximum number of characters of each part of an error message. Quoted values and the names of fields are shorter:
 their limit is `LONGEST_VALUE`."""
 LONGEST_NUMBER = 128
-"""Maximum number of bits of an integer that an error message writes out; of a larger integer it states only the
-size."""
+"""Maximum number of bits of an integer that an error message writes out; for a larger integer, the message states only
+the size."""
 MOST_NAMES_LISTED = 12
 """Maximum number of allowed names that an error message lists if it can also suggest the name that was probably meant.
 If there are more names, the message contains only the suggestion."""
@@ -48,9 +48,9 @@ class DiskFullError(RunFolderError):
 class InstabilityError(WarpcreteError):
     """Error: the simulated state is no longer physically meaningful, so the run must end.
 
-    `what` says what happened, `time` is the simulated time [s], `body` the permanent number of the body concerned, and
-    `cure` lists usual cures. Time and body are None, and the cure is empty, if they are not known. The message contains
-    all that is known.
+    `what` says what happened, `time` is the simulated time [s], `body` is the permanent number of the body concerned,
+    and `cure` lists usual cures. Time and body are None, and the cure is empty, if they are not known. The message
+    contains all that is known.
     """
 
     def __init__(self, what: str, *, time: float | None = None, body: int | None = None, cure: str = "") -> None:

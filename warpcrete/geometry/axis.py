@@ -272,8 +272,8 @@ class Axis:
     def swept(self, stations: np.ndarray, radius: np.ndarray | float, facets: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a triangle mesh through rings of vertices around the axis, open at both ends, with normals inward.
 
-        The rings lie at the arc lengths `stations` [m], shape (n,). Their `radius` [m] is one number or one for each
-        ring. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
+        The rings lie at the arc lengths `stations` [m], shape (n,). Their `radius` [m] is one number, or one number for
+        each ring. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         points, _, normal, side = self.frame(stations)
         angle = 2 * np.pi * np.arange(facets) / facets

@@ -1,4 +1,4 @@
-"""Cleaning of triangle meshes: merge coincident corners, then remove repeated triangles and those without area."""
+"""Cleaning of triangle meshes: merge coincident corners, then remove repeated triangles and triangles without area."""
 
 import itertools
 

@@ -200,7 +200,7 @@ class InnerSurface:
         """Refuse an inner surface with open edges between its ends.
 
         An open edge belongs to only one triangle of the inner surface. It is either the border of a hole in the mesh,
-        or an edge that hides a part of the wall from the axis. `vertices` and `faces` are those of the original mesh.
+        or an edge that hides a part of the wall from the axis. `vertices` and `faces` describe the original mesh.
         `whole` holds the indices of the original triangles that have an area, and `kept` holds the indices of the inner
         surface's triangles. Triangles without area are counted too, because they close edges that CAD programs have
         split.

@@ -22,7 +22,7 @@ from .meshes import load
 DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05
 """Largest accepted differences between the end of a mesh and the round pipe that meets it, as fractions of the pipe's
 diameter and radius. The first number applies to the diameter of a circle with the area of the mesh's cross-section, and
-the second number to the distance of the mesh's wall from the axis in any direction."""
+the second number applies to the distance of the mesh's wall from the axis in any direction."""
 STRAIGHT_LENGTH_TOLERANCE = 0.002
 """Largest accepted difference between the length of a straight mesh bore and the length stated for its part, divided by
 the smaller diameter of the bore's two ends."""

@@ -17,7 +17,8 @@ SIDES = 48
 """Number of flat sides with which recorders draw a round wall."""
 MOST_STOPS = 1_000_000
 PARALLEL = 1e-6
-"""Sine of the angle between velocity and axis of a pipe up to which the pipe counts as moving along its axis."""
+"""A pipe counts as moving along its axis if the sine of the angle between its velocity and its axis is at most this
+number."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -62,7 +62,7 @@ class ParaViewRecorder(Recorder):
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
     def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
-        """Shorten all files to the same number of frames: those written before the checkpoint.
+        """Shorten all files to the number of frames that were written before the checkpoint.
 
         If a file has fewer frames, because it is damaged or missing, shorten the other files to that number and warn.
         """

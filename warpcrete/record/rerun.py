@@ -38,8 +38,8 @@ def with_values(tensor: Any, values: np.ndarray) -> Any:
 class RerunRecorder(Recorder):
     """Recorder of bodies, moving walls, curves and profiles on one timeline, with a legend and a cut through the scene.
 
-    Every clump is drawn by its own spheres, and the concrete of a flow on a grid by its surface. `path` is the path of
-    the .rrd file, or None. `live` is True to open a viewer, or the URL of a running viewer
+    Every clump is drawn by its own spheres, and the concrete of a flow on a grid is drawn by its surface. `path` is the
+    path of the .rrd file, or None. `live` is True to open a viewer, or the URL of a running viewer
     (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened viewer listens. `colouring`
     is the quantity that colours the bodies. `network` adds lines between bodies, if the simulation method has any: the
     width and brightness of a contact's line show its force, and bonds without compression are orange.

@@ -79,8 +79,8 @@ class RerunStream:
     def connect(self, application: str, caption: str, recording_id: str, part: int, blueprint: Any) -> None:
         """Begin a recording: open its file and, for a live recording, the viewer.
 
-        A recording may consist of several files, and `part` is the number of this one. `caption` is the title of the
-        recording, and `recording_id` is the name by which viewers recognise that several files belong together.
+        A recording may consist of several files, and `part` is the number of the file to open. `caption` is the title
+        of the recording, and `recording_id` is the name by which viewers recognise that several files belong together.
         `blueprint` is the layout of the views. A viewer keeps one layout for each name of an `application`.
         """
         self._recording = self.rr.RecordingStream(application, recording_id=recording_id)

@@ -192,7 +192,7 @@ class Display(ABC):
         return self.simulation.stepper.time if self._current_snapshot is None else self._current_snapshot.time
 
     def draw(self, later: RecorderThread, job: Callable[[float, int], None]) -> None:
-        """Let `job` draw the present state; its arguments are the simulated time [s] and the number of steps.
+        """Let `job` draw the present state; the arguments of `job` are the simulated time [s] and the number of steps.
 
         The first job runs at once, and the display notes which values the job reads. For each later job, this
         method copies the same values, and the thread `later` runs the job while the simulation goes on.

@@ -232,7 +232,8 @@ class _Net:
         return np.cumsum(used) - 1
 
     def _crossings(self, axis: int) -> tuple[np.ndarray, ...]:
-        """Return the grid edges along one axis that cross the surface of the concrete: one end is inside, one outside.
+        """Return the grid edges along one axis that cross the surface of the concrete: one end is inside, and the other
+        end is outside.
 
         With a cut, only concrete behind the cutting plane counts. The results, for m edges in d dimensions, are:
 

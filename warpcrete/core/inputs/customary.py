@@ -16,7 +16,7 @@ def beside(shown: bool, unit: str, *values: float, digits: int = 4) -> str:
     """Return one value, or two as a range, in a customary US unit and in parentheses, to follow the metric amount.
 
     `unit` is a key of :data:`CUSTOMARY_SIZES`, the values are in SI units, and the numbers have `digits` significant
-    digits. Unless `shown`, the text is empty.
+    digits. If `shown` is false, the text is empty.
     """
     return f" ({_span(values, CUSTOMARY_SIZES[unit], digits)} {unit})" if shown else ""
 

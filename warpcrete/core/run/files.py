@@ -202,7 +202,7 @@ def remove_partial(folder: Path) -> None:
 
 
 def output_folder(out: object, name: str) -> Path:
-    """Return the path `out`, or if it is None the first folder name `runs/NAME-NNN` that does not exist yet."""
+    """Return the path `out` or, if `out` is None, the first folder name `runs/NAME-NNN` that does not exist yet."""
     return next_folder(name) if out is None else folder_path("out", out)
 
 

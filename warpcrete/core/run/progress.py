@@ -17,8 +17,8 @@ REDRAW_INTERVAL = 0.2
 """Shortest time between two updates of a progress bar [s]."""
 LINES_PER_PHASE = 10
 """Number of lines that report one phase of a run, such as packing, in a log file. A very short phase has fewer lines,
-and a very long phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two
-lines."""
+and a very long phase has more lines, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time
+between two lines."""
 SHORTEST_LINE_INTERVAL, LONGEST_LINE_INTERVAL = 1.0, 30.0
 """Shortest and longest time between two lines that report progress in a log file [s]."""
 Progress = Callable[[str, float, dict[str, float]], None]

@@ -18,7 +18,8 @@ CPU_INFO = Path("/proc/cpuinfo")
 def provenance(device: wp.Device, precision: str, seed: int, threads: int | None = None) -> dict[str, object]:
     """Return the versions, the device and the settings on which the results of a run depend.
 
-    The entry `threads` is left out if `threads` is None, and `processor_features` if the features are not known.
+    The entry `threads` is left out if `threads` is None, and the entry `processor_features` is left out if the features
+    are not known.
     """
     features = processor_features()
     return {
@@ -55,7 +56,7 @@ def processor() -> str:
 def processor_features() -> str:
     """Return a short hash of the CPU's features, or an empty text if the system does not list them.
 
-    Different models may share one name, for example in a virtual machine. Warp compiles CPU kernels for the features.
+    Different models may share one name, for example in a virtual machine. Warp compiles CPU kernels for these features.
     """
     features = _cpu_entry("flags") or _cpu_entry("Features")  # On ARM, Linux lists the features under "Features".
     return hashlib.sha256(" ".join(sorted(features.split())).encode()).hexdigest()[:16] if features else ""

@@ -43,8 +43,8 @@ class Recorder:
     def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
         """Return the data from which the method `resume` can later go on recording at this time.
 
-        The run stores this data in its checkpoint and then calls `write`. The checkpoint replaces the previous one only
-        when all recorders have written their data.
+        The run stores this data in its checkpoint and then calls `write`. The checkpoint replaces the previous
+        checkpoint only when all recorders have written their data.
         """
         return {}
 
