@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from suspension_figures import Layer, layer_figure, migration_figure
 
-from warpcrete.core.drawing.style import MEASURED, SERIES, THEORY, legend_above, new_figure, open_frame, rgb
+from warpcrete.core.drawing.style import SERIES, THEORY, legend_above, new_figure, open_frame, rgb
 from warpcrete.theory.bands import wilson_interval
-from warpcrete.theory.pipe import CONCRETES
 from warpcrete.theory.suspension import SUSPENSIONS, thickening
 
 Store = dict[str, Any]
@@ -187,10 +187,9 @@ class Tables:
     def layer(self) -> None:
         """Show the slip layer: fraction over distance, thickness, and the law of stress over slip velocity."""
         stores = load(self.runs, "a")
-        rows, figure = [], new_figure("pipe, diameter 100 mm, mortar of concrete no1 that sticks to the wall", 3.3, 3.1)
-        top, bottom = figure.subplots(2, 1, height_ratios=[3.3, 3.1])
+        rows, layers = [], []
         for surfaces, part in (("sticks", 0.5), ("slips", 0.1)):
-            for fraction, colour in zip(FRACTIONS, SERIES, strict=False):
+            for fraction in FRACTIONS:
                 chosen = [s for s in stores.values() if s["varied"]["surfaces"] == surfaces
                           and s["varied"]["fraction"] == fraction and s["varied"]["seed"] == 0]  # fmt: skip
                 chosen.sort(key=lambda store: store["varied"]["stress"])
@@ -212,21 +211,9 @@ class Tables:
                 if surfaces == "slips":
                     continue
                 mean = rings(chosen[-1])[1][late(chosen[-1], 0.5)].mean(0)
-                top.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour))
-                bottom.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"fraction {fraction:g}")
-                line = np.geomspace(slip.min(), slip.max())
-                bottom.loglog(1e3 * line, slope * line + start, color=rgb(colour))
-        own, line = CONCRETES["no1"], np.geomspace(1e-3, 0.8)
-        bottom.loglog(1e3 * line, own.slip_viscosity * line + own.slip_yield, "--", color=rgb(MEASURED),
-                     label="Xu et al.")  # fmt: skip
-        top.set(xlabel="distance from the wall [mm]", ylabel="volume fraction\nof aggregates", xlim=(0, 25),
-                ylim=(0, None), title="aggregates near the wall, at 4000 Pa")  # fmt: skip
-        bottom.set(xlabel="slip velocity [mm/s]", ylabel="stress at the wall [Pa]", title="law of the slip layer",
-                   xticks=(1, 10, 100, 1000), yticks=(300, 1000, 4000))  # fmt: skip
-        for axis in (bottom.xaxis, bottom.yaxis):
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter("")
-        legend_above(top, bottom.get_legend_handles_labels()[0])
+                distance = np.array(chosen[-1]["distance"])
+                layers.append(Layer(fraction, distance, mean, slip, stress, slope, start))
+        figure = layer_figure(layers)
         self.save("layer", figure)
         head = ["mortar", "fraction", "in the core", "half of it at [mm], start", "late",
                 "eta_L [Pa s/m]", "tau_L0 [Pa]",
@@ -273,23 +260,15 @@ class Tables:
 
     def migration(self) -> None:
         """Show the fraction in the inner half of the radius, and in the ring at the wall, over the travel."""
-        rows, figure = [], new_figure("pipe, diameter 100 mm", 3.4, 3.4)
-        sheared, pumped = figure.subplots(2, 1)
+        rows, curves = [], []
         for name, store in load(self.runs, "b").items():
             inner, wall, time = 100 * inner_fraction(store), 100 * at_wall(store), column(store, "time")
             last = late(store, 0.1)
             rows.append([name, ended(store), f"{travel(store) / store['parameters']['diameter']:.1f}",
                          f"{inner[0]:.1f}", f"{inner[last].mean() - inner[0]:+.2f}", f"{wall[0]:.1f}",
                          f"{wall[last].mean() - wall[0]:+.2f}"])  # fmt: skip
-            kind, fraction, seed = store["varied"]["kind"], store["varied"].get("fraction"), store["varied"]["seed"]
-            axes, line = (sheared if kind == "sheared" else pumped), ("-", "--")[seed % 2]
-            label = f"fraction {fraction:g}, seed {seed}" if fraction else f"concrete {kind}"
-            colour = SERIES[FRACTIONS.index(fraction) if fraction else int(kind[2:]) - 1]
-            axes.plot(time, inner - inner[0], line, color=rgb(colour), label=label)
-        for axes, title in ((sheared, "mortar of no1, sticks, 2000 Pa"), (pumped, "concretes, slip, 1500 cm3/s")):
-            axes.set(xlabel="time [s]", ylabel="change of the inner fraction\n[percentage points]", title=title)
-            axes.axhline(0.0, color=rgb(THEORY), linewidth=1, zorder=0)
-            legend_above(axes)
+            curves.append((store["varied"], time, inner - inner[0]))
+        figure = migration_figure(curves)
         self.save("migration", figure)
         head = ["run", "ended", "travel [diameters]", "inner fraction at the start [%]", "change [points]",
                 "fraction at the wall at the start [%]", "change [points]"]  # fmt: skip
