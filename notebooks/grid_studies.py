@@ -11,11 +11,14 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from fluid_studies import Studies, main
+from matplotlib.figure import Figure
 
 from warpcrete import InstabilityError, Simulation, scenes
 from warpcrete.core.device.device import default_threads
 from warpcrete.core.drawing.style import RUN, SECOND, legend_above, new_figure, rgb
 from warpcrete.core.units import number
+
+Points = list[tuple[float, float]]
 
 
 def result(job: tuple[str, dict, str | None]) -> dict:
@@ -31,6 +34,25 @@ def value(found: dict, name: str, factor: float = 1.0, digits: int = 2) -> str:
     return f"{factor * found[name]['value']:.{digits}f}" if name in found else "-"
 
 
+def shear_figure(panels: dict[str, tuple[Points, Points, list[float]]]) -> Figure:
+    """Return the figure of the error of the wall stress [%] over the share of slip, for a channel and for a tube.
+
+    Each panel has the points of columns and of periodic pipes, and the shares of slip at which a column stops.
+    """
+    figure = new_figure("channel or tube, 100 mm wide, concrete of 20 Pa s, 0.191 m/s", 3.6, 2.9)
+    for axes, (name, (column, periodic, stopped)) in zip(
+        figure.subplots(2, 1, sharex=True, height_ratios=[3.6, 2.9]), panels.items()
+    ):
+        axes.plot(stopped, np.full(len(stopped), 30.0), "x", color=rgb(SECOND), label="column stops with an error")
+        axes.semilogy(*np.transpose(column), "o-", color=rgb(SECOND), label="column of particles")
+        axes.semilogy(*np.transpose(periodic), "o-", color=rgb(RUN), label="periodic pipe on a grid")
+        axes.set(ylabel="error of the\nwall stress [%]", title=name, ylim=(1e-4, 100.0), yticks=(1e-4, 1e-2, 1, 100))
+        axes.yaxis.set_major_formatter("{x:g}")
+    figure.axes[1].set_xlabel("slip velocity over mean velocity")
+    legend_above(figure.axes[0], figure.axes[0].lines, width=0.9)
+    return figure
+
+
 class GridStudies(Studies):
     """Shear without end, and the standard tests."""
 
@@ -41,8 +63,8 @@ class GridStudies(Studies):
         speed = scenes.channel().velocity
         layers = [{"slip_viscosity": eta} for eta in (1e6, 2e4, 4e3, 1e3, 300.0, 100.0, 20.0)]
         plugs = [{"yield_stress": n * 20 * speed / 0.05} for n in (0.1, 1.0, 10.0, 100.0)]
-        figure, rows = new_figure("width or diameter 100 mm, concrete of 20 Pa s, 0.191 m/s", 3.8, 2.8), []
-        for axes, name in zip(figure.subplots(2, 1, sharex=True, height_ratios=[3.8, 2.8]), ("channel", "tube")):
+        rows, panels = [], {}
+        for name in ("channel", "tube"):
             found: dict[str, list[tuple[float, float]]] = {"piston": [], "periodic": []}
             stopped = []
             for given in [*layers, *plugs]:
@@ -65,14 +87,8 @@ class GridStudies(Studies):
                     if given in layers:
                         found[ends].append((share, abs(wall)))
                 rows.append(cells)
-            for ends, word, colour in (
-                ("piston", "column of particles, until steady", SECOND), ("periodic", "grid, ten diameters", RUN),
-            ):  # fmt: skip
-                axes.semilogy(*np.transpose(found[ends]), "o-", markersize=4, color=rgb(colour), label=word)
-            axes.plot(stopped, np.full(len(stopped), 30.0), "x", color=rgb(SECOND), label="column stops with an error")
-            axes.set(ylabel="error of the\nwall's stress [%]", title=name, ylim=(1e-4, 100.0))
-        figure.axes[1].set_xlabel("share of slip in the flow")
-        legend_above(figure.axes[0])
+            panels[name] = found["piston"], found["periodic"], stopped
+        figure = shear_figure(panels)
         self.save("shear", figure)
         head = ["", "slip", "Bingham no.", "piston: wall off [%]", "profile rms [%]", "periodic: wall off [%]",
                 "profile rms [%]"]  # fmt: skip
