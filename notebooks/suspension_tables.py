@@ -18,14 +18,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from suspension_figures import Layer, layer_figure, migration_figure
+from suspension_figures import FRACTIONS, Layer, layer_figure, migration_figure
 
 from warpcrete.core.drawing.style import SERIES, THEORY, legend_above, new_figure, open_frame, rgb
 from warpcrete.theory.bands import wilson_interval
 from warpcrete.theory.suspension import SUSPENSIONS, thickening
 
 Store = dict[str, Any]
-FRACTIONS = (0.2, 0.3, 0.4)
 LAYER = 3e-3
 """Width of the ring at the wall whose aggregates the table of migration counts [m]."""
 ENOUGH = 0.6

@@ -16,10 +16,21 @@ SLIM = 0.25
 """Aspect ratio of the scene, width to height or height to width, below which all views are arranged in one row or
 column.
 """
+AREA = 1.15
+"""Width over height of the area that all views of the scene share, in a window of 1400 by 900 pixels."""
+FIELD = np.radians(55.0)
+"""Vertical angle of view of the viewer's camera."""
+MARGIN, ROOM = 1.06, 1.5
+"""Distance of the camera over the smallest distance from which a view shows the whole scene. The larger value applies
+to aggregates that spread out of a vessel."""
 CHAINS, CUT = "scene/network", "scene/cut"
 """Paths, in the recording, of the lines that show contact forces and of the walls that are cut open. The view of the
 whole scene hides what is recorded under these paths."""
 PAINT_LEGEND = "legend_of_walls"
+FLAT = 1e-9
+"""Distance from the cutting plane up to which a vertex lies in this plane [m]."""
+Shown = tuple[str, list[str], "dict[str, Any] | None"]
+"""Title, contents and overrides of a three-dimensional view."""
 CUT_OPACITY = 150
 """Minimum opacity, from 0 to 255, of the half of a wall that remains in the view of the cut scene."""
 
@@ -67,27 +78,32 @@ def plot_title(plot: Plot) -> str:
     return explained(f"{plot.title}{unit}", colours)
 
 
-def _arranged(display: Display, views: list[Any]) -> Any:
-    """Arrange the views: in a row if the scene is tall, in a column if it is long, and in two columns otherwise."""
+def _arranged(display: Display, shown: list[Shown]) -> Any:
+    """Arrange the views: in a row if the scene is tall, in a column if it is long, and in two columns otherwise.
+
+    Two views form a row or a column, whichever shows the scene larger.
+    """
     import rerun.blueprint as rrb
 
-    wide, _, high = np.ptp(display.bounds(), axis=0)
-    if wide < SLIM * high:
-        return rrb.Horizontal(*views)
-    if high < SLIM * wide or len(views) == 1:
-        return rrb.Vertical(*views)
-    return rrb.Horizontal(views[0], rrb.Vertical(*views[1:]), column_shares=[3, 2] if len(views) > 2 else [1, 1])
+    wide, high = np.ptp(_on_screen(display), axis=0)[:2]
+    count = len(shown)
+    if wide < SLIM * high or (count == 2 and SLIM * wide <= high and wide <= AREA * high):
+        return rrb.Horizontal(*(_view(display, each, AREA / count) for each in shown))
+    if high < SLIM * wide or count < 3:
+        return rrb.Vertical(*(_view(display, each, AREA * count) for each in shown))
+    others = [_view(display, each, 0.4 * AREA * (count - 1)) for each in shown[1:]]
+    return rrb.Horizontal(_view(display, shown[0], 0.6 * AREA), rrb.Vertical(*others), column_shares=[3, 2])
 
 
-def _scenes(display: Display, network: bool) -> list[Any]:
-    """Return the three-dimensional views: the whole scene, the scene cut open by a plane, and the force chains."""
+def _scenes(display: Display, network: bool) -> list[Shown]:
+    """Return the contents of the three-dimensional views: the whole scene, a cut through it, and the force chains."""
     noun = display.noun
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
-    found = [_view(display, noun.capitalize(), whole)]
+    found: list[Shown] = [(noun.capitalize(), whole, None)]
     contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
     if display.has_surface:
         if display.cut is not None:
-            found.append(_view(display, "Cut through the middle", [*contents, f"- scene/{noun}"]))
+            found.append(("Cut through the middle", [*contents, f"- scene/{noun}"], None))
         return found
     kept = spheres_behind_cut(display)
     if kept is not None:
@@ -96,16 +112,18 @@ def _scenes(display: Display, network: bool) -> list[Any]:
         # In the view "Cut through the middle", bodies that are in front of the cutting plane at the start have the
         # radius 0, which hides them. The view therefore needs no second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
-        found.append(_view(display, "Cut through the middle", contents, hidden))
+        found.append(("Cut through the middle", contents, hidden))
     if network:
-        found.append(_view(display, "Force chains", ["+ scene/**", f"- scene/{noun}", f"- {CUT}/**"]))
+        found.append(("Force chains", ["+ scene/**", f"- scene/{noun}", f"- {CUT}/**"], None))
     return found
 
 
-def _view(display: Display, name: str, contents: list[str], overrides: dict[str, Any] | None = None) -> Any:
+def _view(display: Display, shown: Shown, aspect: float) -> Any:
+    """Return a view whose width over height is `aspect`, with a camera that sees the whole scene and little else."""
     import rerun.blueprint as rrb
 
-    eye, target = display.view(1.45)
+    name, contents, overrides = shown
+    eye, target = camera(display, aspect)
     return rrb.Spatial3DView(
         name=name,
         origin="scene",
@@ -115,6 +133,39 @@ def _view(display: Display, name: str, contents: list[str], overrides: dict[str,
         line_grid=rrb.LineGrid3D(visible=False),
         background=PAPER,
     )
+
+
+def camera(display: Display, aspect: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a camera position and the point to look at [m], both of shape (3,), for a view of width over height."""
+    places, axes = _on_screen(display), _axes(display)
+    centre = 0.5 * (places.min(0) + places.max(0))
+    across, up, ahead = (places - centre).T
+    slope = np.tan(FIELD / 2)
+    margin = MARGIN if display.has_surface or getattr(display.simulation.scene, "vessel", None) is None else ROOM
+    distance = margin * max(float((np.maximum(np.abs(across) / aspect, np.abs(up)) / slope - ahead).max()), 0.1)
+    target = centre @ axes
+    return target - distance * axes[2], target
+
+
+def _axes(display: Display) -> np.ndarray:
+    """Return the unit vectors to the right, upwards and ahead of a camera that looks at the scene, shape (3, 3)."""
+    ahead = -np.array(display.direction) / np.linalg.norm(display.direction)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, ahead), ahead])
+
+
+def _on_screen(display: Display) -> np.ndarray:
+    """Return the corners of the scene and the vertices of its walls at the start, shape (n, 3).
+
+    The coordinates [m] are those along the axes of the camera.
+    """
+    places = [np.stack(np.meshgrid(*display.bounds().T), -1).reshape(-1, 3)]
+    for number, wall in enumerate(display.walls()):
+        position, orientation = display.wall_pose(number)
+        vertices = wall.vertices.astype(float)
+        places.append(rotate(np.broadcast_to(orientation, (len(vertices), 4)), vertices) + position)
+    return np.concatenate(places) @ _axes(display).T
 
 
 def spheres_behind_cut(display: Display) -> np.ndarray | None:
@@ -129,18 +180,24 @@ def spheres_behind_cut(display: Display) -> np.ndarray | None:
 
 
 def cut_walls(display: Display) -> list[DrawnWall]:
-    """Return the fixed, transparent walls without their faces in front of the cutting plane."""
+    """Return the parts of the fixed, transparent walls that lie behind the cutting plane."""
+    from trimesh.intersections import slice_faces_plane
+
     found = []
     for number, wall in enumerate(display.walls()):
         if wall.moves or wall.colour[3] == 255 or display.cut is None:
             continue
         position, orientation = display.wall_pose(number)
-        middles = wall.vertices[wall.faces].mean(axis=1).astype(float)
-        places = rotate(np.broadcast_to(orientation, (len(middles), 4)), middles) + position
-        kept = wall.faces[places[:, 1] >= display.cut]
-        if 0 < len(kept) < len(wall.faces):
+        # The plane in the wall's own coordinate frame.
+        normal, place = rotate(
+            np.broadcast_to(orientation, (2, 4)),
+            np.array([[0.0, 1.0, 0.0], np.array([0.0, display.cut, 0.0]) - position]), inverse=True,
+        )  # fmt: skip
+        depth = (wall.vertices - place) @ normal
+        if depth.min() < -FLAT and depth.max() > FLAT:
+            vertices, faces, _ = slice_faces_plane(wall.vertices.astype(float), wall.faces, normal, place)
             # The remaining half of the wall lies behind the bodies and hides none of them. It may therefore be more
             # opaque than the whole wall.
             colour = (*wall.colour[:3], max(wall.colour[3], CUT_OPACITY))
-            found.append(DrawnWall(wall.name, wall.vertices, kept, False, colour))
+            found.append(DrawnWall(wall.name, vertices, faces, False, colour))
     return found

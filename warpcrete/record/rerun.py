@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..core.device.recorder_thread import RecorderThread
-from ..core.drawing.display import Display, Profile
+from ..core.drawing.display import Colour, Display, Profile
 from ..core.drawing.paint import COLOUR_STEPS, Paint, packed
 from ..core.drawing.style import THEORY
 from ..core.run.recorder import Recorder
@@ -268,7 +268,9 @@ class RerunRecorder(Recorder):
         if not display.has_surface:
             self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
         for number, wall in enumerate(display.walls()):
-            mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)
+            mesh = rr.Mesh3D(
+                vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=_clear(wall.colour)
+            )
             self._log(f"scene/walls/{wall.name}", mesh, static=True)
             if not wall.moves:
                 self._log_pose(number, f"scene/walls/{wall.name}", static=True)
@@ -323,3 +325,12 @@ class RerunRecorder(Recorder):
         # The viewer keeps one layout for each application name, so each kind of scene needs an application name of its
         # own.
         self._stream.connect(f"warpcrete {scene.name}", scene.caption, recording_id, part, blueprint)
+
+
+def _clear(colour: Colour) -> Colour:
+    """Return the colour of a wall; make it darker if it is transparent.
+
+    The viewer adds up light and not brightness. A bright transparent wall would therefore veil dark colours behind it.
+    """
+    red, green, blue, opacity = colour
+    return colour if opacity == 255 else (red // 3, green // 3, blue // 2, opacity)

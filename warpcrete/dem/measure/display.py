@@ -20,7 +20,7 @@ from ...core.drawing.display import (
     RigidBodies,
 )
 from ...core.drawing.paint import Paint, packed, palette_colours, rounded_up
-from ...core.drawing.style import RUN, SECOND, THIRD
+from ...core.drawing.style import RUN, SECOND, SERIES, THIRD
 from ...geometry.axis import Axis
 from ...geometry.walls import Prescribed
 from ...kernels.dem.bond_parallel import HYDRATED
@@ -36,6 +36,10 @@ WORN = (255, 255, 255, 215)
 """Base colour of worn walls as red, green, blue and alpha; aggregates remain faintly visible behind such walls."""
 WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from the colour map of aggregates, and pale where a wall is not worn."""
+HEAP = {"spread": "spread", "top": "highest point"}
+"""Columns that show the shape of a heap over time, with their names, for tests that choose no columns."""
+UNITS = {"m": (1e3, "mm"), "1": (100.0, "%")}
+"""Factor and name of the displayed unit, for each unit of a column of a test."""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
 """Quantile of the depths of all worn patches that sets the top of the colour scale.
@@ -177,13 +181,22 @@ class ElementDisplay(Display):
         return self._largest_forces()
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return the plots of quantities over time: pressure on the piston, and energies."""
-        pressure = Curve(
-            "piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3 if "pressure" in row else None,
-            RUN,
-        )  # fmt: skip
+        """Return the plots of quantities over time: pressure on a piston, or shape in a vessel; and energies."""
+        scene, found = self.simulation.scene, []
+        if scene.pressure is not None:
+            pressure = Curve("piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3, RUN)
+            found.append(Plot("pressure", "Pressure on the piston", (pressure,)))
+        if scene.vessel is not None:
+            test = scene.vessel.test
+            names = test.curves or {name: words for name, words in HEAP.items() if name in test.columns}
+            shown = (*((n, words, *UNITS[test.columns[n]]) for n, words in names.items()),)
+            curves = (
+                Curve(n, f"{words} [{unit}]", lambda row, n=n, f=factor: f * row[n], colour)
+                for (n, words, factor, unit), colour in zip(shown, SERIES, strict=False)
+            )
+            found.append(Plot("shape", "Shape", tuple(curves)))
         energies = tuple(Curve(name, label, lambda row, n=name: row[n], c) for name, (label, c) in ENERGIES.items())
-        return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
+        return (*found, Plot("energy", "Energy", energies))
 
     def profiles(self) -> tuple[Profile, ...]:
         """Return the curves to plot: velocity over the radius of the pipe, and stresses along the pipe.
