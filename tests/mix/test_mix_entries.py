@@ -178,6 +178,20 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
         ({"parts": {"cement": 340, "superplasticizer": "yes"}}, "= 'yes': has no amount; state it, as in '3 kg/m3' or"),
         ({"parts": {"cement": 340, "superplasticizer": "0.8 %"}}, "is a share, but must count per volume of concrete; "
          "multiply it by the kilograms of cement"),
+        ({"density": 2350, "slump": "S4"}, "mix slump = 'S4': is a class of EN 206, with a slump of 160 to 210 mm; "
+         "write the measured one, or the middle of the class, as in 'slump: 185 mm'"),
+        ({"density": 2350, "spread": "sf2"}, "with a spread of 660 to 750 mm"),
+        ({"density": 2350, "slump": "F5"}, "mix slump = 'F5': is a class of the flow table"),
+        ({"density": 2350, "slump": "120 to 150 mm"}, "is a range, but must be one value"),
+        ({"density": 2350, "slump": "5-6 in"}, "is a range, but must be one value"),
+        ({"density": 2350, "consistency class": "S3"}, "is the entry 'slump' of a mix; write 'slump: S3'"),
+        ({"density": 2350, "Dmax": 16}, "mix key = 'Dmax': is the entry 'sizes' of a mix; write 'sizes: 16 mm'"),
+        ({"density": 2350, "max. aggregate size": "3/4 in"}, "is the entry 'sizes' of a mix; write 'sizes: 3/4 in'"),
+        ({"parts": {"cement": "6 sacks"}}, "counts sacks, but must be a mass in a volume of concrete; a US sack of "
+         "cement has 94 lb: write '564 lb/yd3'"),
+        ({"parts": {"cement": 564, "water": 280, "sand": 1300, "stone": 1800}, "slump": "5 in"},
+         "or write units behind the numbers, as in '564 lb/yd3'"),
+        ({"parts": {"cement": 340, "sand": 800, "gravel": 1000}, "slump": "5 in"}, "cubic metre, in kg/m3, with the w"),
         ({"parts": {"cement": 340, "slag": "30 %"}}, "is a share, but must count per volume"),
         ({"Sand moisture": "4 %"}, "mix key = 'Sand moisture': is not an entry of a mix; subtract the surface"),
         ({"slump flow": "26 in"}, "mix key = 'slump flow': is the entry 'spread' of a mix; write 'spread: 26 in'"),

@@ -1,5 +1,6 @@
 """Entries of a mix: their names, meanings, units and ranges, and their values in SI units."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -61,12 +62,19 @@ OTHERS = {
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
         "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
-LARGEST_NAMES = ("largest_stone", "largest_size", "size_max", "max_size", "maximum_size", "stone")
-"""Names under which users state the largest stone, instead of the entry `sizes`."""
+LARGEST_NAMES = re.compile(
+    r"(d ?max|size max|stone|(largest|max|maximum|nominal)( .*)? (size|stone|aggregate|grain))( size)?"
+)
+"""Pattern of names under which users state the largest stone, instead of the entry `sizes`."""
+CLASSES = {"S1": (10, 40), "S2": (50, 90), "S3": (100, 150), "S4": (160, 210), "S5": (220, 290),
+           "SF1": (550, 650), "SF2": (660, 750), "SF3": (760, 850)}  # fmt: skip
+"""Ends of the classes of slump (S) and spread (SF) in millimetres (EN 206); S5 has no upper end, and 290 mm is the
+largest slump that a mix may have."""
 OTHER_NAMES = {
     **dict.fromkeys(("w c", "w b", "w cm", "wc", "wb", "water cement", "water cement ratio", "water binder ratio",
                      "w c ratio"), "water_binder"),
     **dict.fromkeys(("slump flow", "slumpflow", "flow"), "spread"),
+    **dict.fromkeys(("consistency", "consistence", "consistency class", "consistence class", "slump class"), "slump"),
     **dict.fromkeys(("air content", "entrained air"), "air"),
     **dict.fromkeys(("unit weight", "bulk density"), "density"),
 }  # fmt: skip

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..core.errors import quoted, refuse, suggested
-from ..core.inputs.amounts import amount, is_amount, unit_names
+from ..core.inputs.amounts import POUND, YARD, amount, is_amount, unit_names
 from ..core.inputs.limits import warn
 from .stones import is_size_number, named_sizes, size_numbers
 
@@ -277,6 +277,9 @@ def _check_stated(name: str, value: Any) -> None:
         if value is None:
             hints.append("a comma inside braces {...} begins another ingredient: put a name with a comma in quotes")
         refuse(field, value, "has no amount", "; ".join(hints))
+    if (sacks := re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)[\s-]*(?:sack|bag)s?(?:/yd3|/cy)?", text.strip())) is not None:
+        hint = f"a US sack of cement has 94 lb: write '{94 * float(sacks[1]):g} lb/yd3' if they are per cubic yard"
+        refuse(field, value, "counts sacks, but must be a mass in a volume of concrete", hint)
     if "cwt" in text:
         hint = "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3"
         refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete", hint)
@@ -328,7 +331,12 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
         return
     words = f"fill {filled:.3f} m3 of 1 m3"
     if filled > POSSIBLE_VOLUMES[1] or (complete and filled < POSSIBLE_VOLUMES[0]):
-        refuse("mix parts", ", ".join(parts), f"{words} without air", "list all ingredients of a cubic metre, in kg/m3")
+        hint = "list all ingredients of a cubic metre, in kg/m3"
+        if complete and water_mass(parts) == 0:
+            hint += ", with the water"
+        if POSSIBLE_VOLUMES[0] < filled * POUND / YARD**3 < POSSIBLE_VOLUMES[1]:
+            hint += ", or write units behind the numbers, as in '564 lb/yd3'"
+        refuse("mix parts", ", ".join(parts), f"{words} without air", hint)
     if 1 - filled < USUAL_AIR[0] or (complete and 1 - filled > USUAL_AIR[1]):
         room = f"{100 * (1 - filled):.2g} %"
         left = f"which leaves {room} of air; check the masses and the moisture of the sand, or state 'air: {room}'"

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
-from ..core.inputs.amounts import amount, bare_number, is_amount, is_customary
+from ..core.inputs.amounts import LONGEST, amount, bare_number, is_amount, is_customary
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
-from .entries import GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, MixEntries
+from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, MixEntries
 from .ingredients import (
     MIN_AMOUNT,
     check_volume,
@@ -64,13 +64,15 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         refuse("mix", given, "must consist of 'key: value' lines", "indent them below the name of the section")
     for key in given:
         with errors_located_at(given, key):
-            if key in LARGEST_NAMES:
-                size = given[key] if bare_number(given[key]) or is_amount(given[key], "m") else "20 mm"
+            name = re.sub(r"[\W_]+", " ", str(key).casefold()).strip()
+            if key not in KEYS and LARGEST_NAMES.fullmatch(name) is not None:
+                size = given[key] if is_amount(given[key], "m") else "20 mm"
+                size = f"{given[key]} mm" if bare_number(given[key]) else size
                 refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
             if "moist" in str(key).casefold():
                 problem = "is not an entry of a mix"
                 refuse("mix key", key, problem, "subtract the surface moisture from the sand, and add it to the water")
-            if (own := OTHER_NAMES.get(re.sub(r"[\W_]+", " ", str(key).casefold()).strip())) is not None:
+            if (own := OTHER_NAMES.get(name)) is not None:
                 refuse("mix key", key, f"is the entry {own!r} of a mix", f"write '{own}: {given[key]}'")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
@@ -215,9 +217,25 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
         return None
     entry = NUMBERS[name]
     with errors_located_at(given, name):
+        _check_single(name, given[name])
         found = amount(f"mix {name}", given[name], entry.unit)
         between(f"mix {name}", found, entry.low, entry.high, entry.unit, entry.hint)
     return found
+
+
+def _check_single(name: str, value: Any) -> None:
+    """Refuse a class of consistency, or a range, instead of one amount, with the amount in its middle."""
+    text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
+    if (ends := CLASSES.get(text.upper())) is not None and name in ("slump", "spread"):
+        own = "spread" if len(text) > 2 else "slump"
+        refuse(f"mix {name}", value, f"is a class of EN 206, with a {own} of {ends[0]} to {ends[1]} mm",
+               f"write the measured one, or the middle of the class, as in '{own}: {sum(ends) / 2:g} mm'")  # fmt: skip
+    if re.fullmatch(r"F[1-6]", text, re.IGNORECASE) and name in ("slump", "spread"):
+        refuse(f"mix {name}", value, "is a class of the flow table, which says little about slump and spread",
+               "measure the slump, and write it as in 'slump: 180 mm'")  # fmt: skip
+    two = re.fullmatch(r"[0-9][^a-zA-Z]*[a-zA-Z%]*\s*(to|-|\u2013)\s*[0-9].*", text) is not None
+    if two and not is_amount(text, NUMBERS[name].unit):
+        refuse(f"mix {name}", value, "is a range, but must be one value", "write the measured value, or the middle")
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
