@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.measure import blockage
 from warpcrete.dem.measure.quantities import report
 from warpcrete.dem.method import METHOD
+from warpcrete.dem.scene.clumps import elongated
 from warpcrete.dem.scene.scene import Blockage, Bodies, Scene
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import PipeWall, PlaneWall
@@ -158,6 +160,20 @@ def test_a_row_across_spans_the_pipe(start):
         blockage.count_spanning_networks(stepper.model, stepper.state, axis, 0.5, 0.1, pairs[[0, 1, 3]]) == 0
     )  # one link is missing
     assert blockage.count_spanning_networks(stepper.model, stepper.state, axis, 0.8, 0.1, pairs) == 0  # not there
+
+
+def test_a_stone_across_the_pipe_spans_it_only_as_part_of_a_strong_contact(start):
+    """It touches both sides of the wall, but a network consists of strong contacts between bodies."""
+    template = elongated(3.0)
+    size = 0.0501 / float(np.max(np.abs(template.offsets[:, 0]) + template.radii))
+    turn = [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]  # from x, the axis of the pipe, to y
+    bodies = Bodies(positions=[[0.5, 0, 0], [0.5 + size, 0, 0]], sizes=size, template=template, orientations=[turn] * 2)
+    stepper = start(dataclasses.replace(across(2), bodies=(bodies,)))
+    body, point = blockage.wall_contacts(stepper.model, stepper.state)
+    assert sorted(body.tolist()) == [0, 0, 1, 1] and np.abs(point[:, 1]) == pytest.approx(0.05, abs=1e-6)
+    axis = stepper.model.walls[0].axis
+    for chains, count in ((np.zeros((0, 2), int), 0), (np.array([[0, 1]]), 1)):
+        assert blockage.count_spanning_networks(stepper.model, stepper.state, axis, 0.5, 0.2, chains) == count
 
 
 def test_loads_are_the_axial_part(start):
