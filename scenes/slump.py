@@ -33,7 +33,7 @@ SHELL, ABOVE = 3, 3
 VOLUME = 0.05
 """Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
-In most test runs the error was at most 0.027, which it reached while the surface moved fastest. If a yield stress of 20
+In most test runs the error was at most 0.027; it was largest while the surface moved fastest. If a yield stress of 20
 Pa lets the concrete spread into a layer only a few cells thick, the error is 0.07 to 0.14. A run of this kind should
 fail the check.
 """

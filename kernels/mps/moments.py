@@ -30,7 +30,7 @@ in two dimensions and 0.08 in three. Such a hole is no free surface.
 def rheology_functions(scalar, dimensions: int, law: str):
     """Build the functions of the regularised flow law, which is Bingham's or another one of `flow_laws`.
 
-    `rate_of` returns the shear rate of a velocity gradient [1/s], `apparent` the viscosity at that rate.
+    `rate_of` returns the shear rate of a velocity gradient [1/s], and `apparent` returns the viscosity at a shear rate.
     """
     t = mps_types(scalar, dimensions)
     FlowConstants = flow_struct(scalar)

@@ -53,7 +53,8 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
         along = v - wp.dot(n, v) * n
         speed = wp.length(along)
         if speed <= flow.slip_yield * compliance:
-            resist = area / compliance  # The slip layer sticks, because its stress is below its yield stress.
+            # The slip layer sticks, because the stress in it is below the yield stress of the layer.
+            resist = area / compliance
             stress = speed / compliance
         else:
             damp = scalar(1.0) / (scalar(1.0) + flow.slip_viscosity * compliance)

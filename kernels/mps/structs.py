@@ -62,7 +62,7 @@ def flow_struct(scalar):
 
         # Fraction of the density error (relative excess of a particle's density sum) that one step removes.
         correction: scalar
-        skin: scalar  # Skin of the neighbour lists [m].
+        skin: scalar  # Skin of the neighbour lists: distance by which they reach beyond the operators and weights [m].
 
     return FlowConstants
 

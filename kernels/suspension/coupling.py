@@ -8,8 +8,8 @@ inflow into the cells. The equations are
     P^T (A u - G p) + E U = P^T F + L,    D u = -inflow at the start,
 
 where F are the forces on faces at the start of the step, L are the weight and contact forces of the aggregates, and E
-is the inertia of the aggregates minus that of an equal volume of mortar, divided by the time step. Faces that move with
-an aggregate have no equations of their own.
+is the inertia of the aggregates minus the inertia of an equal volume of mortar, divided by the time step. Faces that
+move with an aggregate have no equations of their own.
 """
 
 import functools
@@ -231,8 +231,8 @@ def cell_weight_function(scalar, of: GridKind):
 def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that make search directions orthogonal to each other.
 
-    They run with `tasks` tasks for faces and cells, and further ones for the aggregates, which :func:`share_of_body`
-    distributes. `many` holds `count` vectors one after the other.
+    They run with `tasks` tasks for faces and cells, and with further tasks for the aggregates, which
+    :func:`share_of_body` distributes. `many` holds `count` vectors one after the other.
 
     - `weigh` multiplies a vector by the weights of the inner product of two vectors.
     - `products` computes partial sums of the inner products of a weighted vector and each vector of `many`. The partial
@@ -320,8 +320,8 @@ def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 def advance_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that change the solution.
 
-    They run with `tasks` tasks for faces and cells, and further ones for the aggregates, which :func:`share_of_body`
-    distributes.
+    They run with `tasks` tasks for faces and cells, and with further tasks for the aggregates, which
+    :func:`share_of_body` distributes.
 
     - `advance` adds a search direction times `factor` to the solution, and subtracts the product of matrix and
       direction (`effect`) times `factor` from the residual. It then computes the squared norm of the residual, and the

@@ -127,8 +127,8 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that compute search directions and their products with the matrix.
 
-    Unless stated otherwise, the kernels run with `tasks` tasks for the faces, and further ones for the aggregates,
-    which :func:`share_of_body` distributes:
+    Unless stated otherwise, the kernels run with `tasks` tasks for the faces, and with further tasks for the
+    aggregates, which :func:`share_of_body` distributes:
 
     - `begin` computes the first search direction.
     - `turn` computes the next search direction.

@@ -1,4 +1,4 @@
-"""Preparation of the command line's output streams: for terminals that show few characters, and for closed ones."""
+"""Preparation of the command line's output streams for terminals that are closed or show few characters."""
 
 import io
 import os

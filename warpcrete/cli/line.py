@@ -268,8 +268,9 @@ def _finish(
 ) -> None:
     """Print the text `said` about a pump line, its other slip layers, and the verdicts of rules against blocking.
 
-    All that is printed is first written to the file line.md in `folder`, so that it is complete even if nothing reads
-    the output. With `--blocking`, the probability of a blockage is then simulated, printed and added to the file.
+    All that is printed is first written to the file line.md in `folder`, so that this file is complete even if no
+    program reads the output. With `--blocking`, the probability of a blockage is then simulated, printed and added to
+    the file.
     """
     said = [*said, *([] if settings["fit"] is not None else _other_layers(line, given)), "",
             *_rules(line, given.mix, folder)]  # fmt: skip

@@ -38,7 +38,7 @@ class Figure:
     source: str
     """Publication of the relation from which the value follows, and a remark on how reliable the value is."""
     instrument: str = "rheometer"
-    """Kind of instrument whose errors the value has: 'cone' for slump, spread and T500, otherwise 'rheometer'."""
+    """Kind of instrument whose errors affect the value: 'cone' for slump, spread and T500, otherwise 'rheometer'."""
 
     def __post_init__(self) -> None:
         assert self.low <= self.value <= self.high, self
@@ -68,8 +68,8 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
 
     - The bands of two values from rheometers must overlap.
     - Between a rheometer and a cone, the limit is :data:`INSTRUMENTS`.
-    - Between spread and slump of a cone, the limit is :data:`CONES`. In this case, the band of the result is widened up
-      to the other band.
+    - Between spread and slump of a cone, the limit is :data:`CONES`. In this case, the band of the result is widened
+      until it reaches the other band.
 
     Raises :class:`SceneError` if a ratio is too large.
     """

@@ -70,7 +70,7 @@ UNKNOWN_MASS = 20.0
 heavier one may be powder, so that the volume of the paste cannot be calculated."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients together, without air, in a cubic metre of concrete [m3/m3].
-The upper limit exceeds 1, because the assumed densities of ingredients differ from the true ones."""
+The upper limit exceeds 1, because the assumed densities of ingredients differ from their true densities."""
 USUAL_AIR = (-0.02, 0.06)
 """Smallest and largest air content, calculated from the ingredients [m3/m3], that cause no warning. True contents are
 usually 1 to 3 %. The calculated content may be negative, because the densities of the ingredients are uncertain."""

@@ -276,7 +276,7 @@ def mix_of(
     """Build a mix from the entries of a section `mix`.
 
     Paths of files with measured points are relative to `folder`. `stated` are constants of the flow, which replace
-    calculated ones. Raises :class:`SceneError` if the entries contradict each other or do not determine the yield
+    calculated constants. Raises :class:`SceneError` if the entries contradict each other or do not determine the yield
     stress.
     """
     told = read(given, folder)

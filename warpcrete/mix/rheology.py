@@ -63,7 +63,7 @@ USUAL_AGGREGATE = 0.66
 0.70."""
 ASSUMED_VISCOSITY = (70.0, 20.0, 400.0)
 """Plastic viscosity assumed if the mix contains no information about it, with its lower and upper limit [Pa s]. The
-band covers the three concretes of Xu, Li & Jiang (2021) and thinner ones."""
+band covers the three concretes of Xu, Li & Jiang (2021) and thinner concretes."""
 
 
 def yield_stresses(given: MixEntries) -> Iterator[Figure]:

@@ -126,8 +126,8 @@ def read_sizes(given: Any) -> tuple[float, float]:
     """Return the smallest and the largest size of a mix's stones [m].
 
     If the entry is a single amount, it is the largest size, and the smallest is :data:`SMALLEST`. A text such as '#57'
-    is a size number of ASTM C33. Raises :class:`warpcrete.SceneError` if the entry is neither of these nor a pair of
-    possible sizes. 'No. 57', '57 stone' and '#57 stone' are size numbers, too.
+    is a size number of ASTM C33. Raises :class:`warpcrete.SceneError` if the entry is not an amount, a size number or a
+    pair of possible sizes. 'No. 57', '57 stone' and '#57 stone' are size numbers, too.
     """
     if given is None:
         hint = "write '20 mm', or put a size number of ASTM C33 in quotes, as in '#57', because # starts a comment"

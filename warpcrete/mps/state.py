@@ -1,4 +1,4 @@
-"""State of a particle flow on a device, and the positions at which it starts."""
+"""State of a particle flow on a device, and the initial positions of its particles."""
 
 from collections.abc import Callable
 from typing import Any

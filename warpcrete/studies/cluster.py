@@ -1,7 +1,7 @@
 """Studies and trade-off studies on several GPUs or machines, with Dask's scheduler and workers.
 
 Each worker uses one GPU, or as many CPU cores as a run has threads. All workers must see the run folders under the same
-path. Folders and results are bit for bit the same as for a study on one machine. When a worker is lost, another one
+path. Folders and results are bit for bit the same as for a study on one machine. When a worker is lost, another worker
 continues its work; the cases of a study continue from their last checkpoints.
 """
 

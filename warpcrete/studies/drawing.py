@@ -95,7 +95,7 @@ def draw(
 
 
 def _measured(study: Any) -> dict[str, Quantity]:
-    """Return all quantities of a study by name: the compared ones, and all other numbers in the results of its cases.
+    """Return all quantities of a study by name: the compared quantities, and all other numbers in its results.
 
     A plain number in a result has no unit.
     """

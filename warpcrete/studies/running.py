@@ -37,7 +37,7 @@ OutcomeCallback = Callable[[Case, Any], None]
 def simulation_of(
     record: dict[str, Any], module: Any, folder: Path, case: Case, progress: Progress
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a case, and the checkpoint from which it continues, or None if it starts anew."""
+    """Return the simulation of a case and the checkpoint from which it continues (None if it starts anew)."""
     here, command = folder / case.name, record["command"]
     every = command["checkpoint_every"]
     checkpoint = here / "checkpoint.npz"

@@ -169,7 +169,7 @@ def resume_study(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Continue a study: keep finished and failed cases, and continue interrupted ones from their checkpoints.
+    """Continue a study: keep finished and failed cases, and continue interrupted cases from their checkpoints.
 
     The study may continue with other `processes` or another `scheduler` than before; :func:`run_study` explains them.
     """

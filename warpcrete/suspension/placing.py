@@ -16,7 +16,7 @@ MAX_DEVIATION = 0.1
 """Largest relative difference between the volume of the placed aggregates and the volume that the scene's fraction
 requires, above which a warning is given."""
 SHRINK = 0.95
-"""Factor by which the number of spheres is reduced, repeatedly, if they do not fit. The error message then names the
+"""Factor by which the number of spheres is reduced, repeatedly, until all spheres fit. The error message then names the
 volume fraction that fits."""
 
 

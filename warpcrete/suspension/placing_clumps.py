@@ -20,7 +20,10 @@ class _Packing:
         self.extent = np.maximum.reduceat(reach, self.parts.first[:-1])
 
     def spheres(self, centre: np.ndarray | None = None, turn: np.ndarray | None = None) -> np.ndarray:
-        """Return the centres of all spheres, shape (m, 3), for the present places of the clumps or for other ones."""
+        """Return the centres of all spheres, shape (m, 3), for clumps with the given `centre` and `turn`.
+
+        The default values are the present places and orientations of the clumps.
+        """
         return self.parts.centres(self.centre if centre is None else centre, self.turn if turn is None else turn)
 
     def any_of(self, spheres: np.ndarray) -> np.ndarray:

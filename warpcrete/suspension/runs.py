@@ -14,7 +14,8 @@ SOLVE_BYTES = 4 * 8 * 64
 precision.
 
 With each direction, the solve stores the direction's product with the matrix. A direction and its product have eight
-numbers for each cell. A solve of at most 60 iterations stores up to 64 directions.
+numbers for each cell. The number counts 64 directions, because hardly any solve needs more than 60
+iterations.
 """
 DEEPEST = 0.3
 """Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error. The overlap is

@@ -120,7 +120,8 @@ def tall_cone_slump(
     radius = top + (base - top) * depth / height
     area = math.pi * radius**2
     load = density * gravity * math.pi * depth / 3 * (top * top + top * radius + radius * radius)
-    stays = np.minimum(1.0, bears * yield_stress * area / load)  # Fraction of the layer's initial height that remains.
+    # Fraction of its initial height that each layer of the cone keeps at rest.
+    stays = np.minimum(1.0, bears * yield_stress * area / load)
     return float(np.sum(1 - stays) * height / LAYERS)
 
 

@@ -107,8 +107,9 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
 def fill_kernel(scalar, serial: bool, of: GridKind):
     """Build the kernel that computes the fill fraction of each cell, with one task per cell.
 
-    The fill fraction follows from the density of particles around the cell's centre. It is exact for a flat free
-    surface parallel to the cells' sides, and it does not depend on how the particles inside the concrete are arranged.
+    The fill fraction follows from the density of particles around the cell's centre. This fill fraction is exact for a
+    flat free surface parallel to the cells' sides, and does not depend on how the particles inside the concrete are
+    arranged.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

@@ -45,7 +45,7 @@ def break_kernel(scalar, of: GridKind):
 
     @wp.func
     def rebuilt(rate: scalar, broken: scalar, dt: scalar) -> scalar:
-        """Return the yield stress that structure built up in this step adds [Pa].
+        """Return the increase of the yield stress [Pa] by structure that builds up in this step.
 
         Structure builds up at the given `rate` [Pa/s], and a part of it breaks down again within the step. The result
         does not include structure from earlier steps, which the breakdown reduces by the factor exp(-`broken`).

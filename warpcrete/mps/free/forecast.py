@@ -104,8 +104,8 @@ def course_of(simulation: FreeSimulation) -> Course:
 def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:
     """Return the mean wall time of a step of a coarser copy's `run`, divided by the time of one of its first steps.
 
-    The first steps are shorter than later ones, so their solves need fewer iterations. `changes` are the attributes of
-    the scene in which the copy differs from the flow itself.
+    The first time steps are shorter than later steps, so the solves in them need fewer iterations. `changes` are the
+    attributes of the scene in which the copy differs from the flow itself.
     """
     start = type(simulation)(
         replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,

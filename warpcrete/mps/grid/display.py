@@ -20,8 +20,8 @@ FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
 class GridDisplay(Display):
     """Display of a flow on a grid: the surface of the concrete, and some of its particles with their mirror images.
 
-    The surface is where the cells are half full. Its colours are means over the particles in the nearest cells.
-    Recordings in files for ParaView contain the particles as well.
+    The surface is where the cells are half full. Each colour on the surface is a mean over the particles in the nearest
+    cells. Recordings in files for ParaView contain the particles as well.
     """
 
     noun: ClassVar = "concrete"

@@ -1,4 +1,4 @@
-"""Signed distances of points from walls: planes, pipes, meshes, and polygons that extend along the other axes."""
+"""Signed distances of points from walls: planes, pipes, meshes, and polygons that are extended into bodies."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

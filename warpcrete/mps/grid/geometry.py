@@ -233,8 +233,8 @@ def nearest_wall(
         found, which = np.full(shape, np.inf), np.full(shape, everything[0][1] if everything else PLATE, np.int32)
         for distance, number in everything:
             here = distances_from(distance, points)
-            # If several walls are equally near, such as an inlet and the pipe around it, take the first one. Rounding
-            # must not decide, because it differs between processors.
+            # If several walls are equally near, such as an inlet and the pipe around it, take the first of these walls.
+            # Rounding errors must not decide, because they differ between processors.
             which = np.where(here < found - ROUNDING * min(room.width), number, which).astype(np.int32)
             found = np.minimum(found, here)
         return found, which

@@ -33,8 +33,9 @@ from .systems import CHUNKS, System
 
 # Number of layers of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 EXTRAPOLATED_CELLS = 3
-# Two tolerances of the solve that moves crowded particles apart. The first one is a fraction of the initial residual.
-# The second one is a fraction of the residual that arises if every cell must lose its whole volume in one step.
+# Two tolerances of the solve that moves crowded particles apart. The first tolerance is a fraction of the initial
+# residual. The second tolerance is a fraction of the residual that arises if every cell must lose its whole volume in
+# one step.
 DISPERSION_TOLERANCES = 0.1, 1e-5
 
 

@@ -35,7 +35,8 @@ COARSEST_STEPS = 6
 VISITS = {"cpu": 2, "gpu": 1}
 """Number of visits of the next coarser level in a multigrid cycle: 1 is a V-cycle, 2 a W-cycle.
 
-A second visit reduces the number of iterations. On a GPU, however, its barriers take more time than it saves.
+A second visit reduces the number of iterations. On a GPU, however, the barriers of a second visit take more time than
+the visit saves.
 """
 STEPS = {"cpu": 1, "gpu": 2}
 """Number of smoothing steps before and after the visits of the next coarser multigrid level. On the finest level, the

@@ -1,4 +1,4 @@
-"""Display of a flow through a part of a pump line for recorders: the concrete and a transparent wall."""
+"""Display, for recorders, of a flow through a part of a pump line: the concrete and a transparent wall."""
 
 from functools import cached_property
 from typing import ClassVar

@@ -163,7 +163,8 @@ class RestartMargin:
     """Pressure at which the concrete begins to move [Pa], with its uncertainty band."""
     longest: float | None
     """Longest stop [s] after which the pump restarts the line even at the upper end of the uncertainty band, at most
-    the longest stop that is considered. The value is None if the pump does so not even after a short stop."""
+    the longest stop that is considered. The value is None if the pump cannot restart the line even after a short stop.
+    """
     fast: FastGrowth | None = None
     """Restart at the highest published growth rate of the yield stress; None if the user stated the rate."""
     customary: bool = False

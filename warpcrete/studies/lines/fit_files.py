@@ -25,8 +25,8 @@ def fitted_concrete(
     """Return the contents of a concrete's file with the fitted slip layer and its uncertainty.
 
     `concrete` is the concrete before the fit, and `mix` its mix, if it has one. `source` is the concrete's own file or
-    shipped description, of which all other entries are kept; None means that the user stated only slump or spread.
-    `line` is the name of the trial line.
+    shipped description; all its other entries are kept. None means that the user stated only slump or spread. `line` is
+    the name of the trial line.
     """
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
     origin += "" if fit.contradiction is None else ", which contradict each other"

@@ -109,7 +109,7 @@ def _meaning(fit: LineFit) -> str:
 
 
 def _open_yield(fit: LineFit, customary: bool) -> str:
-    """Return a sentence on the unknown yield stress of the slip layer, and on the flows at which it widens the band."""
+    """Return a sentence on the unknown yield stress of the slip layer, and on the flows at which the band is wider."""
     assert not fit.knows_yield, "the yield stress is known"
     unit, size = ("yd3/h", CUSTOMARY_SIZES["yd3/h"]) if customary else ("m3/h", 1 / 3600)
     (_, low), (_, high) = fit.yield_layers

@@ -16,7 +16,8 @@ from .taps import Tap, is_free
 
 OPEN_YIELD, FITTED_YIELD = "unknown yield stress of the slip layer", "yield stress of the slip layer"
 """Names in reports of two causes of uncertainty at flows other than the measured ones. OPEN_YIELD is a yield stress
-that the measured pressures do not determine. FITTED_YIELD is the error of a yield stress that they determine."""
+that the measured pressures do not determine. FITTED_YIELD is the error of a yield stress that the measured pressures
+determine."""
 NO_YIELD = "left out of the fit, because the points would give a negative value"
 """Reason why the yield stress of the slip layer was left out of a fit, so that it is zero."""
 
@@ -172,10 +173,10 @@ class LineFit:
         """Return, for each cause of uncertainty, two concretes at the lower and the upper end of its band.
 
         The cause 'slip layer' has the band of the fit. The cause 'density' keeps its band from before the measurement,
-        whose concretes are in `before`. The cause `FITTED_YIELD` has the layers of `yield_layers`, or `OPEN_YIELD` if
-        the measured pressures do not determine the yield stress of the layer. It hardly has an effect at the measured
-        flows. Viscosity and yield stress of the bulk are no causes of their own: an error of theirs is compensated by
-        the slip layer, because both together give the measured pressures.
+        whose concretes are in `before`. A third cause has the layers of `yield_layers`. It is called `FITTED_YIELD`, or
+        `OPEN_YIELD` if the measured pressures do not determine the yield stress of the layer. This cause hardly has an
+        effect at the measured flows. Viscosity and yield stress of the bulk are left out. The fitted slip layer
+        compensates errors of these constants, because bulk and slip layer together give the measured pressures.
         """
         own = self.concrete(concrete)
         if self.layer_ends:

@@ -67,8 +67,8 @@ def course_of(losses: Sequence[float]) -> list[float]:
     """Return the pressures at the start of a line and at the ends of its parts [Pa], which are parts + 1 numbers.
 
     `losses` holds the pressure loss of each part [Pa], in the order from the start of the line to its end. The pressure
-    at the end is zero. It never falls below zero: where concrete runs down faster than it is pumped, the column breaks
-    and transmits no tension.
+    at the end of the line is zero. No pressure falls below zero: where concrete runs down faster than it is pumped, the
+    column breaks and transmits no tension.
     """
     found = [0.0]
     for loss in reversed(losses):

@@ -59,7 +59,7 @@ class Loss:
 
 @dataclass(frozen=True)
 class Stop:
-    """Time for which a full line stands still, and the growth of the concrete's yield stresses meanwhile."""
+    """Time for which a full line stands still, and the growth of the concrete's yield stresses during this time."""
 
     rest: float
     """Duration of the pump's stop [s]."""

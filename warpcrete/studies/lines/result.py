@@ -240,9 +240,9 @@ class LineResult(LinePressures):
     def _advice(self, cause: str, band_of: Callable[[LineResult], Band]) -> str:
         """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
 
-        `band_of` returns the band [Pa] of the pressure in question. Only measurements that make this band narrower are
-        recommended, and none of a cause that was fitted to a trial line. For a layer of an earlier fit, another fit
-        helps only with more flows.
+        `band_of` returns the band [Pa] of the pressure that the advice is about. Only measurements that make this band
+        narrower are recommended. A cause that was fitted to a trial line needs no further measurement. If the layer
+        comes from an earlier fit, another fit helps only with more flows.
         """
         if self.fit is not None and cause in ("slip layer", "bends"):
             return ""

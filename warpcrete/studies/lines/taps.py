@@ -84,7 +84,7 @@ def foreign_columns(path: Path) -> list[str]:
 
 
 def _columns(path: Path) -> tuple[dict[str, tuple[int, str]], list[tuple[int, list[str]]], list[str]]:
-    """Return the columns and rows as :func:`read_columns`, but only the columns that a fit uses, and the other names.
+    """Read the columns that a fit uses, as :func:`read_columns` does; also return the names of all other columns.
 
     The name `distance` means `place`. Raises :class:`SceneError` if the file has both.
     """

@@ -11,8 +11,8 @@ EQUAL_SPREAD = 0.05
 MIN_DETERMINATION = 0.98
 """Coefficient of determination of a straight line's fit above which a relation counts as linear."""
 MIN_GROWTH = 0.03
-"""Increase of the pressure from the first to the last parameter value, divided by the pressure at the first one, above
-which the pressure counts as growing."""
+"""Increase of the pressure from the first to the last parameter value, divided by the pressure at the first value,
+above which the pressure counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
 """Function that judges a claim of a paper. Its arguments are the values of a parameter and the pressure at each value
@@ -92,7 +92,7 @@ def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
     """Return whether pressures first stay nearly equal and then grow, and a short text that describes them.
 
-    The first two pressures must be nearly equal, and the pressures must grow from the second one on.
+    The first two pressures must be nearly equal, and the pressures must grow from the second value on.
     """
     level, what = judge_equal(values[:2], pressures[:2])
     grown, how = judge_growing(values[1:], pressures[1:])

@@ -221,7 +221,7 @@ def _verdict(errors: list[float], count: int) -> str:
 
 
 def draw(found: Reproduction) -> Any:
-    """Return a figure with a panel for each parameter; lines show simulated pressures, crosses published ones."""
+    """Return a figure with a panel for each parameter; lines show simulated pressures, crosses show published ones."""
     panels_down = -(-(len(ZHAN) + 1) // 2)  # The last panel holds the legend.
     figure = new_figure("unit D (bend to vertical); titles state claims of Zhan et al. (2019)", *[2.8] * panels_down)
     panels, fields = figure.subplots(panels_down, 2).ravel(), modules()["pipe"].scene.fields({})

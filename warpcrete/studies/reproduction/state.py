@@ -26,7 +26,7 @@ class Reproduction:
     stands for all of them."""
     rows: tuple[str, ...] = ()
     """Groups of runs to make in each column of the report. The group `units` stands for the runs of the pipe units, and
-    the name of a parameter for the runs in which it varies. An empty tuple stands for all groups."""
+    the name of a parameter stands for the runs in which this parameter varies. An empty tuple stands for all groups."""
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)

@@ -182,8 +182,8 @@ def _knobs_of(scene: Any, measured: Mapping[str, Any] | None) -> set[str]:
 def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
     """Yield a saving for each value of an accuracy parameter that shortened the run in a trade-off study.
 
-    `points` contains the settings of the study with their run times and errors. The first one is the scene as given.
-    Only settings in which a single parameter differs from the scene as given are used.
+    `points` contains the settings of the study with their run times and errors. The first setting is the scene as
+    given. Only settings in which a single parameter differs from the scene as given are used.
     """
     for point in points[1:]:
         given, alone = points[0], point["origin"] in knobs and point["errors"] and not point["suspect"]

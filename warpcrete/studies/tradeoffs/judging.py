@@ -94,7 +94,7 @@ class Judging(ABC):
 
         A knob is an accuracy parameter such as the time step, and a level is one of its values. The result is the
         largest error of all measured quantities, or infinity if a run failed. A difference that the scatter between
-        seeds explains counts as zero, because the knob need not be its cause.
+        seeds explains counts as zero, because the difference need not be caused by the knob.
         """
         point = self.alone(knob, level)
         finest = next((p for k in reversed(range(len(knob.levels))) if (p := self.alone(knob, k)) is not None
@@ -150,7 +150,7 @@ class Judging(ABC):
         """Return an upper bound for the error of a setting.
 
         The bound is the reference's own error plus the larger of two values. The first value is the measured error with
-        its confidence interval. The second one is the sum of the errors that each changed knob (accuracy parameter)
+        its confidence interval. The second value is the sum of the errors that each changed knob (accuracy parameter)
         causes alone. Errors that cancel in this scene need not cancel in another one.
         """
         if point.worst is None:

@@ -309,7 +309,7 @@ class Trade(Judging):
     def _run_on(self, cluster: Cluster, due: Iterator[tuple[Setting, list[int], float]]) -> None:
         """Run jobs on workers, each of which performs one job at a time.
 
-        The attribute `spent` is increased by the wall time that passes meanwhile, no matter how many workers there are.
+        The attribute `spent` is increased by the wall time that the method takes, no matter how many workers there are.
         """
         before, begun, running = self.spent, time.perf_counter(), 0
         record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}

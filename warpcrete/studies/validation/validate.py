@@ -52,8 +52,8 @@ class Validation:
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """For each concrete of which it is known whether it blocked: the verdict of the rules against blocking, and the
-    observation."""
+    """Verdict of the rules against blocking and observation, for each concrete that was observed to block or to pass.
+    """
     refused: dict[str, str]
     """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 

@@ -1,4 +1,4 @@
-"""Display of a part of a pump line for recorders: mortar behind the axis, all aggregates, and a transparent wall."""
+"""Display, for recorders, of a part of a pump line: mortar behind the axis, all aggregates, and a transparent wall."""
 
 import numpy as np
 

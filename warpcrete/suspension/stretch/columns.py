@@ -1,4 +1,4 @@
-"""Straight pipes and channels with a prescribed flow of mortar with aggregates, as stretches of endless ones."""
+"""Prescribed flow of mortar with aggregates in stretches of endless straight pipes and channels."""
 
 import math
 from collections.abc import Iterator

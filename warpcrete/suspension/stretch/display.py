@@ -1,4 +1,4 @@
-"""Display of a stretch of pipe for recorders: mortar behind the axis, all aggregates, and a transparent wall."""
+"""Display, for recorders, of a stretch of pipe: mortar behind the axis, all aggregates, and a transparent wall."""
 
 from functools import cached_property
 from typing import ClassVar

@@ -41,7 +41,7 @@ class RunData:
         return self.scene.radius / self.scene.ways * (self.mean("gradient") or 0.0)
 
     def change(self, name: str) -> float:
-        """Return the change of a column from the first to the last row."""
+        """Return the change of a column of the time series from its first row to its last row."""
         return float(self.series[name][-1] - self.series[name][0])
 
 
