@@ -63,6 +63,13 @@ _LAZY = {
 }
 
 
+_INSTEAD = {
+    "run": "; write warpcrete.Simulation(scene, device='cpu').run()",
+    "resume": "; execute the lines that began the run again, or use 'warpcrete run --resume FOLDER'",
+}
+"""Hints about names that users may expect in this package."""
+
+
 def __getattr__(name: str) -> Any:
     # Importing Warp takes half a second, so a module is imported only when one of its names is used.
     if name in _LAZY:
@@ -71,7 +78,10 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(".scenes", __name__)
     if name == "__version__":
         return importlib.import_module(".core.run.version", __name__).version_of("warpcrete")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    instead = _INSTEAD.get(name, "")
+    if any(Path(root, "scenes", f"{name}.py").is_file() for root in __path__) and not name.startswith("_"):
+        instead = f"; write warpcrete.scenes.{name}"
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{instead}")
 
 
 def __dir__() -> list[str]:

@@ -131,7 +131,7 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
     again = flow(folder, going_on=True)
     again.recorders[0].again = True
     (folder / "scene.json").write_text(json.dumps(record | {"files": {"bore.stl": "0"}}), encoding="utf-8")
-    with pytest.raises(RunFolderError, match=r"another run \(its files differs\)"):
+    with pytest.raises(RunFolderError, match=r"another run \(its file 'bore.stl' differs\)"):
         again.begin(folder / "checkpoint.npz")
 
 

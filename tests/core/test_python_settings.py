@@ -101,6 +101,9 @@ def test_one_file_in_two_spellings_is_one_value_of_a_study(tmp_path):
 def test_names_of_varied_parameters_are_texts():
     with pytest.raises(SceneError, match="vary = 3"):
         warpcrete.study(scenes.slump, vary={3: [1, 2]}, **SMALL)
+    # Several values outside of `vary` lead to the lines to write.
+    with pytest.raises(SceneError, match=r"must map each .*; vary=\{'yield_stress': \[100, 200\]\}"):
+        warpcrete.study(scenes.slump, yield_stress=[100, 200])
 
 
 def test_a_value_that_cannot_be_shown_is_named_by_its_type():

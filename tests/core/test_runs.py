@@ -16,6 +16,7 @@ from pumping import alive, wait_until
 
 import warpcrete
 from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, scenes
+from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.run.columns import Columns
 from warpcrete.core.run.quantities import Amount, Quantities, Result
 from warpcrete.core.run.run import viewer
@@ -57,6 +58,8 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     (cut / "series.csv").write_text("\n".join(rows[:3]) + "\n" + rows[3][:5], encoding="utf-8")
     back = warpcrete.load(cut)
     assert not back.finished and back.result == {} and "not finished" in repr(back)
+    with pytest.raises(KeyError, match="has none, because it ended before its results were written"):
+        back["pressure"]
     assert len(back.series["time"]) == 2
     assert back.series["pressure"] == pytest.approx(ran.series["pressure"][:2], rel=1e-8, nan_ok=True)
     (cut / "series.csv").write_text("", encoding="utf-8")
@@ -69,8 +72,10 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
 
 
 def test_what_is_no_run_folder_is_refused(ran, tmp_path):
-    with pytest.raises(RunFolderError, match=r"none': is not a folder$"):
+    with pytest.raises(RunFolderError, match=r"none': does not exist$"):
         warpcrete.load(tmp_path / "none")
+    with pytest.raises(RunFolderError, match=r"series\.csv': is a file; give its folder"):
+        warpcrete.load(ran.folder / "series.csv")
     with pytest.raises(RunFolderError, match=r"is not the folder of a run \(it contains no scene\.json\)$"):
         warpcrete.load(tmp_path)
     study = tmp_path / "study"
@@ -126,6 +131,39 @@ def test_a_series_is_a_dataset(ran, tmp_path, monkeypatch):
     assert places["stress"].sel(place=1.0) == 4.0 and places["place"].attrs["units"] == "m"
     with pytest.raises(SceneError, match=r"^table = 'radius': must be one of stations"):
         ran.to_xarray("radius")
+
+
+def test_a_loaded_run_is_copied_in_a_new_process(ran, tmp_path):
+    """A process that has simulated nothing has not imported the class of run folders yet."""
+    code = f"import warpcrete; warpcrete.load({str(ran.folder)!r}).save({str(tmp_path / 'copy')!r})"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert (tmp_path / "copy" / "series.csv").read_bytes() == (ran.folder / "series.csv").read_bytes()
+
+
+def test_failed_checks_are_shown(ran):
+    failed = copy.copy(ran)
+    failed.result = ran.result | {"checks": {"steady": {"passed": False, "found": "no"}}}
+    assert failed.failed_checks == ["steady"] and "failed checks: steady" in repr(failed)
+    assert "<td>failed checks</td><td>steady</td>" in failed._repr_html_()
+
+
+def test_a_quantity_is_no_column_of_a_plot(ran):
+    with pytest.raises(SceneError, match=r"pressure_theory is a single number, run\['pressure_theory'\]"):
+        ran.plot("pressure_theory")
+
+
+@pytest.mark.parametrize(("name", "hint"), [
+    ("slump", "write warpcrete.scenes.slump"), ("run", "write warpcrete.Simulation"), ("nothing", "'nothing'$"),
+])  # fmt: skip
+def test_the_package_names_what_to_write_instead(name, hint):
+    with pytest.raises(AttributeError, match=hint):
+        getattr(warpcrete, name)
+
+
+def test_a_warning_names_the_line_of_the_user():
+    with pytest.warns(PlausibilityWarning, match="yield_stress") as caught:
+        scenes.slump(yield_stress="300 kPa")
+    assert {warning.filename for warning in caught} == {__file__}
 
 
 def test_a_dataset_needs_xarray(ran, monkeypatch):

@@ -121,6 +121,7 @@ def test_a_study_comes_back_with_its_runs(tmp_path):
     assert isinstance(back, Study) and not back.finished and repr(back).startswith("<Study of scene 'pipe': 1 of 2")
     first = back.cases[0].name
     run = back[first]
+    assert list(back.runs()) == [first] and back.runs()[first].folder == run.folder
     assert run.scene.parameters["velocity"] == 0.3 and len(run.series["time"]) > 3
     assert back.table().loc[first, "peak_pressure"] == run["peak_pressure"] and back.plot().axes
     whole = made.table()

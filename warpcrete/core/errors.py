@@ -92,6 +92,10 @@ class CapacityError(WarpcreteError):
     """Error: a scene does not fit into the device's memory, or into an array or list of limited size."""
 
 
+NOT_THE_USERS = ("warpcrete", "contextlib", "functools", "dataclasses")
+"""Packages whose lines are not the location of a warning."""
+
+
 class PlausibilityWarning(UserWarning):
     """Warning about a value that is possible but unlikely, such as a pipe of 3 m in diameter."""
 
@@ -116,6 +120,14 @@ def quoted(value: object) -> str:
     except Exception:  # `repr` fails for deep nesting, huge integers and some objects, so name only the type.
         text = f"<{type(value).__name__}>"
     return one_line(text, LONGEST_VALUE)
+
+
+def warn(text: str, category: type[Warning] = UserWarning) -> None:
+    """Give a warning whose location is the line of the user's program that called this package."""
+    frame, level = sys._getframe(1), 2  # pyright: ignore[reportPrivateUsage]
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in NOT_THE_USERS:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, category, stacklevel=level)
 
 
 def warn_in_one_line() -> None:

@@ -1,6 +1,5 @@
 """Walls and their motions as frozen, validated dataclasses in SI units, for flows and for discrete elements."""
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import PlausibilityWarning, between, positive, refuse, vector
+from ..core.errors import PlausibilityWarning, between, positive, refuse, vector, warn
 from ..kernels.common.walls import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED
 from .axis import Axis, Line
 from .cleaning import clean
@@ -243,14 +242,11 @@ class PipeWall(_Wall):
             problem = "must be zero, because a PipeWall cannot rotate"
             refuse(f"{self.name}.motion", "spin", problem, "use a MeshWall instead")
         if self._slides_within_itself():
-            warnings.warn(
+            warn(
                 f"{self.name}.motion: moves the pipe along its own straight axis, but a PipeWall continues beyond both "
                 "ends without limit, so that the motion only changes friction and other shear forces at the wall; for "
                 "a tube that is lifted use MeshWall with axis.tube(radius)",
                 PlausibilityWarning,
-                # Let the warning name the line of code that creates the wall: skip the stack frames of this method and
-                # of the generated constructor.
-                stacklevel=3,
             )
 
     def _slides_within_itself(self) -> bool:

@@ -1,6 +1,7 @@
 """Functions that read saved runs from their run folders."""
 
 import csv
+import importlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ from ..core.inputs.by_name import names_from_file
 from ..core.inputs.origin import changed_files, check_files
 from ..core.inputs.text_files import saved_text
 from ..core.run.files import read_json, read_record
+from ..core.run.output import RunOutput
 from ..core.run.run import Run
 from ..core.run.tables import Table
 from ..scenes import modules
@@ -26,6 +28,11 @@ DRAWN = ("scene.usdc", "bodies.vtkhdf", "run.rrd")
 
 class LoadedRun(Run):
     """Run that was read from a run folder."""
+
+    def save(self, folder: str | Path | RunOutput) -> Path:
+        """Copy the run folder, with the recordings that it has, and return the path of the copy."""
+        importlib.import_module("warpcrete.record.output")  # It registers the class of run folders.
+        return super().save(folder)
 
     def __getattr__(self, name: str) -> NoReturn:
         if name != "bodies" or self.result.get("method") != "dem":
@@ -58,7 +65,7 @@ def load(folder: Path | str) -> Run:
         )
         raise RunFolderError(
             f"'{folder}': "
-            + ("is not a folder" if not folder.is_dir() else "is not the folder of a run (it contains no scene.json)")
+            + _not_a_run(folder)
             + (f"; its runs are in {', '.join(studies[:3])} ..." if studies else "")
         )  # fmt: skip
     record = read_record(folder / "scene.json")
@@ -77,6 +84,12 @@ def load(folder: Path | str) -> Run:
     series, units = _series(folder / "series.csv")
     tables = {name: Table(*_series(folder / f"{name}.csv")) for name in TABLES if (folder / f"{name}.csv").is_file()}
     return LoadedRun(scene, series, units, result, bool(result.get("finished")), folder=folder, tables=tables)
+
+
+def _not_a_run(folder: Path) -> str:
+    if folder.is_dir():
+        return "is not the folder of a run (it contains no scene.json)"
+    return f"is a file; give its folder '{folder.parent}'" if folder.exists() else "does not exist"
 
 
 def is_finished(folder: Path) -> bool:

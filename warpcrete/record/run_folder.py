@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TextIO
@@ -18,6 +19,9 @@ from ..core.run.run import Run
 from ..core.run.simulation_base import SimulationBase
 from ..core.run.tables import Table
 from .loading import is_finished
+
+SAME_RUN = ("scene", "parameters", "files", "device", "precision", "command")
+"""Entries of scene.json that must be equal for a simulation that continues the run in an existing folder."""
 
 
 def scene_record(simulation: SimulationBase, command: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -79,7 +83,7 @@ class TableRecorder(Recorder):
             if is_finished(self.folder):
                 raise RunFolderError(
                     f"out = '{self.folder}': exists already and contains a finished run; choose a new folder (runs are "
-                    "never overwritten)"
+                    "never overwritten), or read this run with warpcrete.load"
                 )
             if self.again and path.is_file():
                 _check_same_run(path, record)
@@ -198,12 +202,31 @@ class TableRecorder(Recorder):
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
     """Raise an error if the folder's scene.json does not describe the same run as `record`, its new contents."""
     there, here = read_json(path), json.loads(json.dumps(record))
-    for name in ("scene", "parameters", "files", "device", "precision", "command"):
-        if there.get(name) != here[name]:
-            raise RunFolderError(
-                f"out = '{path.parent}': exists already and contains another run (its {name} differs); choose a new "
-                f"folder, or continue the other run with 'warpcrete {trust_option(there)}run --resume {path.parent}'"
-            )
+    difference = _difference({name: there.get(name) for name in SAME_RUN}, {name: here[name] for name in SAME_RUN})
+    if difference:
+        raise RunFolderError(
+            f"out = '{path.parent}': exists already and contains another run ({difference}); choose a new "
+            f"folder, or continue the other run with 'warpcrete {trust_option(there)}run --resume {path.parent}'"
+        )
+
+
+def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """Return in words the first entry that differs between two records, with both values; empty if they agree.
+
+    The time between checkpoints has no effect on results, so a continued run may have another one.
+    """
+    for name in dict.fromkeys([*there, *here]):
+        old, new = there.get(name), here.get(name)
+        if old == new or name == "checkpoint_every":
+            continue
+        if name == "files":
+            changed = [file for file in dict.fromkeys([*(old or {}), *new]) if (old or {}).get(file) != new.get(file)]
+            return f"its file '{changed[0]}' differs"
+        if not isinstance(old, dict) or not isinstance(new, dict):
+            return f"its {name} is {json.dumps(old)} instead of {json.dumps(new)}"
+        if difference := _difference(old, new):
+            return difference
+    return ""
 
 
 def _write_table(path: Path, table: Table) -> None:

@@ -17,8 +17,8 @@ SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "fram
 
 
 def study(
-    scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | None = None, quiet: bool | None = None,
-    **given: Any,
+    scene: Any, *, vary: Mapping[str, Sequence[Any]] | None = None, out: Path | str | None = None,
+    quiet: bool | None = None, **given: Any,
 ) -> Study:  # fmt: skip
     """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
 
@@ -31,7 +31,9 @@ def study(
     """
     name, module = module_of(scene)
     if not isinstance(vary, Mapping):
-        refuse("vary", vary, "must map each parameter to a list of values", 'for example vary={"velocity": [0.3, 0.5]}')
+        lists = {key: values for key, values in given.items() if isinstance(values, list | tuple)}
+        example = f"vary={lists}" if lists else 'for example vary={"velocity": [0.3, 0.5]}'
+        refuse("vary", vary, "must map each varied parameter to a list of values", example)
     for key, values in vary.items():
         if not isinstance(key, str):
             refuse("vary", key, "is not the name of a parameter", 'for example vary={"velocity": [0.3, 0.5]}')

@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..core.errors import refuse, whole
@@ -23,7 +23,7 @@ class Case:
     """Name of the case's run folder."""
     varied: dict[str, Any]
     """Values of the varied parameters in this case, by name; the seed is left out."""
-    parameters: dict[str, Any]
+    parameters: dict[str, Any] = field(repr=False)
     """All keyword arguments of the scene function."""
 
 

@@ -147,6 +147,10 @@ class Study:
             )
         return load_run(self.folder / case)
 
+    def runs(self) -> dict[str, Run]:
+        """Return the runs of the finished cases by the case's name, read from their folders."""
+        return {name: self[name] for name in self if name in self.results}
+
     def __contains__(self, case: object) -> bool:
         return case in self._ipython_key_completions_()
 

@@ -7,10 +7,10 @@ can be tested at its extremes.
 """
 
 import math
-import warnings
 from dataclasses import dataclass
 
 from ..errors import PlausibilityWarning, refuse
+from ..errors import warn as warn_user
 from .amounts import CUSTOMARY, UNITS
 
 
@@ -153,7 +153,7 @@ def check_velocity(field: str, value: float, velocity: float) -> None:
 
 def warn(text: str) -> None:
     """Give a :class:`PlausibilityWarning` with one line of text."""
-    warnings.warn(text, PlausibilityWarning, stacklevel=3)
+    warn_user(text, PlausibilityWarning)
 
 
 def _meant(value: float, unit: str, limit: Limit) -> str:

@@ -220,7 +220,8 @@ class Field:
             return str(value)
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
             words = WORDS.get(self.kind, f"a {self.kind.__name__}")
-            refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
+            hint = f"write a number in{self.unit}" if self.kind is float and self.unit else ""
+            refuse(name, value, f"must be {words}{' or None' if self.optional else ''}", hint)
         if isinstance(value, str) and "\0" in value:
             refuse(name, value, "contains a NUL character", "remove it")
         if isinstance(value, str) and any(rule.test(value) for rule in self.of_kind(FileIf)):

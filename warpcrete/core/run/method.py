@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,12 +30,12 @@ class Quantity:
 
     name: str
     unit: str
-    of: Callable[[Any], float | None]
+    of: Callable[[Any], float | None] = field(repr=False)
     """Function that takes the simulation method's data about a run. It returns the value of the quantity in `unit`, or
     None if the quantity is undefined for this run."""
     label: str = ""
     """Name of the quantity in the report; without a label, the quantity is not reported."""
-    words: Callable[[Run], str] | None = None
+    words: Callable[[Run], str] | None = field(default=None, repr=False)
     """Function that takes a run and returns the text that the report shows in place of the value and the unit."""
     compared: bool = False
     """True if studies show the quantity in their table and figure."""

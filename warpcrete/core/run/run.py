@@ -46,7 +46,7 @@ class FinalState:
     """Class of the simulation that computed this final state."""
     settings: Mapping[str, Any]
     """Keyword arguments of the simulation, such as its device and precision."""
-    contents: dict[str, Any]
+    contents: dict[str, Any] = field(repr=False)
     """Contents of a checkpoint of the state, with arrays in host memory."""
 
 
@@ -79,10 +79,11 @@ class Run:
         ended += f" ({self.ended.reason})" if self.ended else ""
         time = self.result.get("simulated_time", {}).get("value", 0.0)
         where = f", folder '{self.folder}'" if self.folder else ""
+        failed = ", ".join(self.failed_checks)
         count = len(next(iter(self.series.values()), ()))
         return (
             f"<{type(self).__name__} of scene {self.scene.name!r}: {ended}, {time:.4g} s, {count} samples of "
-            f"{len(self.series)} columns{where}>"
+            f"{len(self.series)} columns{where}{f'; failed checks: {failed}' if failed else ''}>"
         )
 
     def __getitem__(self, name: str) -> float:
@@ -95,6 +96,8 @@ class Run:
         if name not in quantities:
             similar = difflib.get_close_matches(str(name), quantities, 3)
             what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
+            if not quantities:
+                what = "; it has none, because it ended before its results were written"
             if condition := conditions_of(self.scene).get(name):
                 what = f": runs have this quantity only if {condition}{what}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
@@ -116,6 +119,11 @@ class Run:
         It is None for a saved run that was killed, or that an earlier version computed.
         """
         return Ending.of(self.result)
+
+    @property
+    def failed_checks(self) -> list[str]:
+        """Names of the checks that the run failed; its results are not trustworthy if there are any."""
+        return [name for name, check in self.result.get("checks", {}).items() if not check["passed"]]
 
     @property
     def quantities(self) -> Quantities:
@@ -162,7 +170,8 @@ class Run:
             columns = tuple(name for name in DEFAULT_PLOT_COLUMNS if name in self.series)[:1] or tuple(self.series)[1:2]
         for name in (*columns, against):
             if name not in self.series:
-                refuse("column", name, f"must be one of {', '.join(self.series)}")
+                single = f"{name} is a single number, run[{name!r}]" if name in self.quantities else ""
+                refuse("column", name, f"must be one of {', '.join(self.series)}", single)
         units = list(dict.fromkeys(self.units[name] for name in columns))
         figure = new_figure(self.scene.caption, *[3.0] * len(units))
         every = np.atleast_1d(figure.subplots(len(units), 1, sharex=True))
@@ -231,6 +240,8 @@ class Run:
     def _repr_html_(self) -> str:
         """Return the quantities as an HTML table for notebooks."""
         rows: list[tuple[str, object]] = []
+        if failed := self.failed_checks:
+            rows.append(("failed checks", ", ".join(failed)))
         for name, entry in self.result.items():
             if is_dict(entry) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
                 rows.append((name, f"{entry['value']:.6g} {entry['unit']}"))

@@ -64,7 +64,7 @@ class SimulationBase(SimulationOnDevice):
             hint = (
                 "use warpcrete.Simulation, which accepts every scene"
                 if wanted
-                else "create one with a function of warpcrete.scenes"
+                else "create one with a function of warpcrete.scenes, such as warpcrete.scenes.pipe()"
             )
             refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
         return super().__new__(kind)
