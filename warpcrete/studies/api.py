@@ -33,7 +33,7 @@ def study(
     if not isinstance(vary, Mapping):
         lists = {key: values for key, values in given.items() if isinstance(values, list | tuple)}
         example = f"vary={lists}" if lists else 'for example vary={"velocity": [0.3, 0.5]}'
-        refuse("vary", vary, "must map each varied parameter to a list of values", example)
+        refuse("vary", vary, "must map each parameter to a list of values", example)
     for key, values in vary.items():
         if not isinstance(key, str):
             refuse("vary", key, "is not the name of a parameter", 'for example vary={"velocity": [0.3, 0.5]}')
