@@ -1,10 +1,9 @@
-"""Kernels that estimate the stable time step from masses, and from the current stiffness and dashpots of contacts and
-bonds.
+"""Kernels that estimate the stable time step from masses, stiffness and dashpots of contacts and bonds.
 
 For each body, the 3x3 stiffness K and damping C of all its touching or bonded contacts are added up. The same is done
 for rotation about the centroid, from the lever arms of contacts and the moments of bonds; these matrices are rotated to
-principal axes and scaled by the moments of inertia. With k and c the largest absolute row sums of K and C, and m the
-body's mass, the step is the minimum over all bodies of
+principal axes and scaled by the moments of inertia. Let k and c be the largest absolute row sums of K and C, and let m
+be the body's mass. The step is the minimum over all bodies of
 
     dt = 2 m / (c + sqrt(c^2 + 4 m k)).
 

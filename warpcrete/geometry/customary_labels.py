@@ -39,7 +39,7 @@ def as_customary(line: PipeLine) -> PipeLine:
 
 
 def _labelled(part: Part, label: str) -> Part:
-    """Return a part with the given label, or without one, with a label in inches and feet."""
+    """Return a part with the given `label` or, if it is empty, with a label in inches and feet."""
     return replace(part, customary_label=label or part.label_with(FOOT, "ft", INCH, "in"))
 
 

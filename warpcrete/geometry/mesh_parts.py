@@ -237,7 +237,7 @@ def wall_of(
 
 
 def together(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices [m] (v, 3) and faces (f, 3) of one mesh that contains several meshes."""
+    """Return vertices [m] (v, 3) and faces (f, 3) of one mesh that joins several meshes."""
     firsts = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
     faces = np.concatenate([faces + first for (_, faces), first in zip(parts, firsts, strict=True)])
     return np.concatenate([points for points, _ in parts]), faces

@@ -147,7 +147,7 @@ def _refuse_entry(path: Path, name: str, value: object) -> NoReturn:
 
 
 def folder_path(field: str, value: object) -> Path:
-    """Return the path of a folder; raises :class:`SceneError` about `field` if `value` can be no path."""
+    """Return the path of a folder; raises :class:`SceneError` about `field` if `value` cannot be a path."""
     if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
         refuse(field, value, "must be the path of a folder, as text or a pathlib.Path")
     if "\0" in os.fspath(value):

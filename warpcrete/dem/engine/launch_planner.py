@@ -77,11 +77,11 @@ class LaunchPlanner:
         """
 
     def count_steps(self, launched: int) -> None:
-        """Add `launched` steps to the count of steps since graphs of kernel launches were last recorded."""
+        """Add `launched` steps to the count of steps that were launched since graphs were last recorded."""
         self._steps_since_capture += launched
 
     def reset_step_count(self) -> None:
-        """Set the count of steps since graphs of kernel launches were last recorded to zero."""
+        """Set to zero the count of steps that were launched since graphs were last recorded."""
         self._steps_since_capture = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:

@@ -226,7 +226,7 @@ def explained(law: type, error: Exception) -> NoReturn:
 
 
 def _hint(law: type, reason: str) -> str:
-    """Return what to try if Warp refuses a statement for a `reason`."""
+    """Return a hint on what to try after Warp has refused a statement for the given `reason`."""
     known = declared_fields(law)
     plain = [field.name for field in fields(law) if field.name not in known]
     if (wrong := re.search(r"`(\w+)` is not an attribute of '(\w+)'", reason)) is not None:

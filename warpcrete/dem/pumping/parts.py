@@ -214,7 +214,8 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Return the arc lengths between which a pump line is not a straight pipe [m]; None if it is one."""
+    """Return the arc lengths between which a pump line is not a straight pipe [m]; None if the whole line is a straight
+    pipe."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None

@@ -100,7 +100,7 @@ class SieveCurve:
         return 1 - float(np.interp(np.log(size), np.log(self.openings), self.passing))
 
     def above(self, size: float) -> SieveCurve:
-        """Return the curve of the part that is coarser than a size [m], which must be below the largest size."""
+        """Return the grading curve of the grains coarser than `size` [m], which must be below the largest size."""
         if size <= self.smallest:
             return self
         finer, part = 1 - self.retained(size), self.retained(size)
