@@ -92,8 +92,8 @@ def scene(parameters: RingParameters) -> FreeScene:
     The scene equals `slump` with additional bars, which stand on the plate, have no ring on top, and hold the concrete
     that sticks to them. The blocking step is the height of the concrete in the middle minus its height around the ring.
     A quarter of the ring is simulated. Bars stand on both planes of symmetry, so that all gaps are whole, and the
-    number of bars must be a multiple of four. With aggregates, the results also state how much of them and of the
-    mortar has passed the bars.
+    number of bars must be a multiple of four. With aggregates, the results also state which fractions of the aggregates
+    and of the mortar have passed the bars.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

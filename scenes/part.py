@@ -118,8 +118,8 @@ def scene(parameters: PartParameters) -> PartScene:
     """Model concrete that is pumped at a given volume flow through a part of a pump line or a whole pump line.
 
     The results are the pressure at the inlet and the pressure loss of each part. Aggregates are spheres that move in
-    the mortar, enter with it and leave with it. With aggregates, the results are also their fraction along the axis,
-    and whether they block the pipe, which ends the run.
+    the mortar, enter with it and leave with it. With aggregates, the results also contain the fraction of aggregates
+    along the axis, and whether aggregates block the pipe, which ends the run.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -263,11 +263,11 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
                     m.inside -= scalar(0.5) * flow.spacing
             fields.viscosity[i] = apparent
             # The compliance is the velocity difference between wall and particle, divided by the wall stress tau. The
-            # distance between both is `near_wall`, and `bend` is this distance divided by the pipe's radius. The stress
-            # falls linearly from tau at the wall to 0 at the axis, so it is tau (1 - bend) at the particle. The
-            # particle's shear rate is this stress divided by the apparent viscosity. The wall's shear rate is higher by
-            # tau bend / tangent, with the tangent viscosity. The velocity difference is the mean of both rates times
-            # the distance.
+            # distance of the particle from the wall is `near_wall`, and `bend` is this distance divided by the pipe's
+            # radius. The stress falls linearly from tau at the wall to 0 at the axis, so it is tau (1 - bend) at the
+            # particle. The particle's shear rate is this stress divided by the apparent viscosity. The wall's shear
+            # rate is higher by tau bend / tangent, with the tangent viscosity. The velocity difference is the mean of
+            # both rates times the distance.
             near_wall = wp.clamp(m.inside, scalar(1.0e-3) * flow.spacing, flow.radius)
             bend = near_wall / flow.radius
             fields.compliance[i] = near_wall * ((scalar(1.0) - bend) / apparent + scalar(0.5) * bend / tangent)

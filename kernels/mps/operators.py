@@ -21,9 +21,9 @@ NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
 
 For particles closer to a wall than NEARER spacings, the diagonal of the pressure equation is multiplied by DAMPED.
 Without this damping, the pressure would oscillate from step to step. A pressure increment changes the particle's
-velocity, and with it the velocity that is continued behind the wall. Both change the divergence at the particle itself.
-Very close to the wall, this response exceeds twice the response that the undamped diagonal describes. In the initial
-lattice the outermost particles are half a spacing from the wall, so they are not damped.
+velocity, and with it the velocity that is continued behind the wall. Both velocities change the divergence at the
+particle itself. Very close to the wall, this response exceeds twice the response that the undamped diagonal describes.
+In the initial lattice the outermost particles are half a spacing from the wall, so they are not damped.
 """
 
 

@@ -1,9 +1,10 @@
 """Rigid groups of particles, which are the grains of coarse aggregate.
 
-The viscous solve admits only rigid motions of a grain. Its unknowns for a grain are a velocity and a spin, and its
-loads are a resultant force and a moment. The pressure then accelerates the grain's particles as if they were fluid.
-Afterwards the particles get the rigid motion that has the same momentum and angular momentum (passively moving solids,
-Koshizuka, Nobe & Oka 1998). Their positions follow from stored offsets, so that a grain never changes its shape.
+The viscous solve admits only rigid motions of a grain. For each grain, the unknowns of the solve are a velocity and a
+spin, and the loads are a resultant force and a moment. The pressure then accelerates the grain's particles as if they
+were fluid. Afterwards the particles get the rigid motion that has the same momentum and angular momentum (passively
+moving solids, Koshizuka, Nobe & Oka 1998). Their positions follow from stored offsets, so that a grain never changes
+its shape.
 """
 
 import functools

@@ -12,8 +12,8 @@ this, without a drag law.
 Strain rates belong to samples. A sample is a cell (for stretching) or a cell edge (for shear). In comments on array
 shapes, n is the number of aggregates, and `cells` the number of cells, including a frame around the grid.
 
-The grid is filled with mortar everywhere, also inside aggregates. An aggregate adds the difference between its own mass
-and that of the mortar in its place, so its weight in mortar does not depend on how the grid resolves its surface.
+The grid is filled with mortar everywhere, also inside aggregates. An aggregate adds its own mass minus the mass of the
+mortar in its place, so its weight in mortar does not depend on how the grid resolves its surface.
 """
 
 import functools

@@ -263,8 +263,8 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
         In such a cell, two faces move with different aggregates, or the centre of a face lies in two aggregates, or
         each face moves with an aggregate or belongs to a wall. If a wall cuts the cell or closes one of its sides, the
-        faces that move with the aggregate let in more mortar than out, or less. One free face is then not enough
-        either, because two cells at the wall that share their only free face would form a closed pocket.
+        inflow and the outflow of mortar through the faces that move with the aggregate differ. One free face is then
+        not enough either, because two cells at the wall that share their only free face would form a closed pocket.
         """
         if flags[HALTED] != 0:
             return

@@ -43,10 +43,10 @@ def entering_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels for aggregates that enter, each with one task per aggregate unless stated otherwise.
 
     - `guide` sets position and velocity of the aggregates that are not free yet.
-    - `relax` marks cells cut by walls, with one task per cell, in which all faces move with aggregates. In pipes that
-      are oblique to the grid, such a cell has a net inflow that depends on the accuracy of the geometry, and that no
-      motion of the aggregate along the wall makes zero. The kernel `release` of `cover.py` makes the velocities of the
-      marked cells' faces unknowns again.
+    - `relax` marks cells that a wall cuts and whose faces all move with aggregates, with one task per cell. In pipes
+      that are oblique to the grid, such a cell has a net inflow that depends on the accuracy of the geometry, and that
+      no motion of the aggregate along the wall makes zero. The kernel `release` of `cover.py` makes the velocities of
+      the marked cells' faces unknowns again.
     - `ignore` deletes the lists of neighbours of aggregates that are not free yet, because they need no forces.
     - `fix` deletes the mobility of these aggregates, so that solves do not change their velocities. The inverse blocks
       of the preconditioner are zero, so these aggregates have no part in any search direction and in no norm.

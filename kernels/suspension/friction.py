@@ -1,10 +1,10 @@
 """Coulomb friction where aggregates touch each other or a wall.
 
 The friction force opposes the sliding of two surfaces with the force c v, where v is the speed of sliding. The
-coefficient c is the limit mu N of friction divided by v, with the coefficient of friction mu and the normal force N. It
-is at most the resistance of the contact to approach, so that surfaces stick, apart from a slow creep, if a force below
-the limit acts on them. Both N and v are values from the end of the last step, which makes the force linear in the
-velocities, as part of the matrix of the implicit solve. A contact therefore has no friction in its first step.
+coefficient c is the limit mu N of friction divided by v, with the coefficient of friction mu and the normal force N.
+However, c is at most the resistance of the contact to approach, so that surfaces stick, apart from a slow creep, if a
+force below the limit acts on them. Both N and v are values from the end of the last step, which makes the force linear
+in the velocities, as part of the matrix of the implicit solve. A contact therefore has no friction in its first step.
 """
 
 import functools

@@ -53,7 +53,7 @@ def leaving_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
     def weigh(
         g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, pairs: Pairs, opens: wp.int32, excess: scalar
     ):  # fmt: skip
-        """Compute the mass and weight that each aggregate adds to those of the mortar in its place.
+        """Compute the mass and weight that each aggregate has in addition to the mortar in its place.
 
         Also delete the list of neighbours of each aggregate that has left the box entirely.
         """

@@ -238,9 +238,9 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
                         part * roughness, dt, longest,
                     )  # fmt: skip
         # Search for walls other than the sides of the box, from the centre of the aggregate and from six points of its
-        # surface. The distances stored on the grid are those from the nearest wall, which may be a side of the box. The
-        # search therefore does not turn towards the closest side, on which another wall may stand as a bar on a plate.
-        # A search that finds a known wall is repeated without turning towards this wall.
+        # surface. The grid stores the distance from the nearest wall only, which may be a side of the box. The search
+        # therefore does not turn towards the closest side, on which another wall may stand as a bar on a plate. A
+        # search that finds a known wall is repeated without turning towards this wall.
         for probe in range(7):
             e = vec()
             if probe > 0:

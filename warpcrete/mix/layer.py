@@ -26,8 +26,8 @@ PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 
 They were chosen with pressures measured in level pump lines of 325 to 1,044 m with concretes of nine families
 (water-binder ratios of 0.17 to 0.44). Other measurements were kept for tests. The root mean square of the factor
-between predicted and measured friction is 1.33. The best fit, about 150 Pa s/m and 0.95, would reduce it only to 1.31;
-many pairs of constants fit almost equally well.
+between predicted and measured friction is 1.33. The best fit, about 150 Pa s/m and 0.95, would reduce this factor only
+to 1.31; many pairs of constants fit almost equally well.
 """
 PASTE_ERROR_FACTOR = 1.7
 """Factor by which the true viscosity of a slip layer may be smaller or larger than the result of :func:`paste_layer`.

@@ -133,7 +133,8 @@ class Mix:
         If a tribometer or a pipe measured the layer at several speeds, the range follows from this measurement.
         Otherwise it contains all estimates, because the band of the layer from the paste holds for self-compacting
         concrete, and the layer of a stiffer concrete has a larger yield stress. Without an estimate from a slump, the
-        range extends to the yield stress of the concrete. It never exceeds the upper end of that yield stress.
+        range extends to the yield stress of the concrete. The range never exceeds the upper end of the band of this
+        yield stress.
         """
         own, concrete, measured = self["slip yield"], self["yield stress"].high, self.given.layer
         if measured.pipe or own.low == own.high:

@@ -365,8 +365,8 @@ def flow_trading(dimensions: int) -> Trading:
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
     """Return other flows on which the settings of a trade-off are tested too, as changes of a flow's parameters.
 
-    The changes apply to a flow with one phase. The accuracy of these variants is measured against theory. They have
-    other concretes, flow rates and pipes. The flow rate changes the part of the flow that slip carries, and the
+    The changes apply to a flow with one phase. The accuracy of these variants is measured against theory. The variants
+    have other concretes, flow rates and pipes. The flow rate changes the part of the flow that slip carries, and the
     self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends (piston or periodic)
     as the flow itself, because the settings found for the flow are applied to its variants.
     """

@@ -93,7 +93,7 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
 
 
 def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
-    """Return a function that gives the radius of a random shape, divided by its mean, in given directions.
+    """Return a function that gives the radius of a random shape in some directions, divided by the mean radius.
 
     The directions are unit vectors, shape (n, dimensions).
     """

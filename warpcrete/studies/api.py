@@ -25,8 +25,8 @@ def study(
     All settings of :func:`warpcrete.studies.study.run_study` are accepted, for example `repeat`, `one_at_a_time`,
     `device`, `processes`, `frames`, `scheduler` and `workers`. `rerun` and `usd` switch on additional recordings of
     each case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN).
-    `quiet` states whether to leave out the progress that the command `warpcrete study` shows; by default, it appears
-    only in a terminal. A callback `progress` replaces it. Raises :class:`SceneError` if `scene` or `vary` is wrong, and
+    With `quiet`, the progress that the command `warpcrete study` shows is left out; by default, progress appears only
+    in a terminal. A callback `progress` replaces it. Raises :class:`SceneError` if `scene` or `vary` is wrong, and
     everything that :func:`warpcrete.studies.study.run_study` raises.
     """
     name, module = module_of(scene)

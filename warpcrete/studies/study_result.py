@@ -172,7 +172,7 @@ class Study:
         """Return all cases and seeds as an xarray Dataset in SI units, with one dimension for each varied parameter.
 
         Several seeds have the dimension `seed`. Combinations of values that the study does not contain are NaN, or an
-        empty text. If two cases share all values, a case lacks one, or the study contains less than half of all
+        empty text. If two cases share all values, a case lacks a value, or the study contains less than half of all
         combinations, the only dimension is `case`. Variables with a unit have it in `attrs["units"]`. Raises
         :class:`WarpcreteError` if xarray is not installed.
         """

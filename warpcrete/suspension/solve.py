@@ -281,7 +281,7 @@ class CoupledSolve:
         self._launch(self.products.weigh, self.all_tasks, one=one, weighted=self.weighted)
 
     def _new_contacts(self, certain: float = 1.0) -> bool:
-        """Mark pairs that would overlap at the end of the step as touching, and return whether such pairs were found.
+        """Mark pairs that would overlap at the end of the step as touching, and return whether there are new contacts.
 
         A pair counts if it would overlap even at the fraction `certain` of its speed of approach. New contacts change
         the matrix, so the effects of the stored search directions are updated.

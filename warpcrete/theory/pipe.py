@@ -291,9 +291,8 @@ def restart(
     `flow` the state has the smallest pressure at which concrete moves. In a round pipe this pressure is rho g H + 4
     (tau_L0 + A_thix t) L / d, if the slip layer yields before the bulk. Here rho is the density, g gravity, and H the
     rise of the pipe, L its length and d its diameter; tau_L0 is the yield stress of the layer, A_thix the thixotropy
-    and t the duration of the rest. With a `flow` [m3/s], the state is that of a piston that starts at once, so that the
-    pressure includes the viscous stress. In both cases the pressure falls to its steady value as shear breaks the
-    structure.
+    and t the duration of the rest. With a `flow` [m3/s], a piston drives this flow at once, so that the pressure
+    includes the viscous stress. In both cases the pressure falls to its steady value as shear breaks the structure.
     """
     return steady(after_rest(concrete, rest, thixotropy), line, flow, form)
 
@@ -379,7 +378,7 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
 
 
 def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
-    """Return a straight line of wall stress over slip velocity, fitted to flows [m3/s] and pressures [Pa] of a pipe.
+    """Fit a straight line for wall stress as a function of slip velocity to flows [m3/s] and pressures [Pa] of a pipe.
 
     The slope of the line is eta_L [Pa s/m], and its offset is tau_L0 [Pa]. The part of each flow that is due to shear
     of the bulk is calculated and subtracted. The rest gives the slip velocity V (Xu, Li & Jiang 2021, Eq. 12), and the

@@ -7,7 +7,7 @@ has grown wide enough to bear the weight above it (Murata 1984; for cones Schowa
 
 Murata's concrete yields where the largest shear stress, half of the vertical pressure, reaches the yield stress
 (Tresca). A Bingham fluid in three dimensions yields by the invariant of all stresses (von Mises), which is where the
-pressure over the square root of 3 reaches the yield stress.
+pressure divided by the square root of 3 reaches the yield stress.
 """
 
 import math
@@ -45,9 +45,9 @@ def long_heap_spread(volume: float, yield_stress: float, density: float, gravity
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
 """Resistance of a heap to stretching, divided by yield stress tau and depth h, for the forms "plane" and "axial".
 
-The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
-the depth. At height z, shear uses tau (1 - z / h) of the yield stress. The remaining part, sqrt(tau^2 - shear^2),
-resists stretching. The mean of this part over the depth is (pi / 4) tau.
+The resistance is the normal stress along the slope minus the normal stress across it, without the part that the weight
+causes, integrated over the depth. At height z, shear uses tau (1 - z / h) of the yield stress. The remaining part,
+sqrt(tau^2 - shear^2), resists stretching. The mean of this part over the depth is (pi / 4) tau.
 
 In a plane the normal stresses are s and -s, which doubles this mean. About an axis, a heap that keeps its shape has the
 stress s along the radius and around it, and -2 s upwards, with 3 s^2 + shear^2 = tau^2. This multiplies the mean by

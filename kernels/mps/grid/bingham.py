@@ -166,13 +166,13 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
 
         `speed` is the cell's mean velocity along the wall. This mean velocity is the sum of the slip velocity (Xu, Li &
-        Jiang 2021, Eq. 8) and the mean velocity due to shear within the cell; `ring` corrects the latter for cells that
-        are rings about an axis. Newton's method solves for the stress. It starts above the solution, where the function
-        is convex.
+        Jiang 2021, Eq. 8) and the mean velocity due to shear within the cell; in cells that are rings about an axis,
+        the mean velocity due to shear is multiplied by `ring`. Newton's method solves for the stress. It starts above
+        the solution, where the function is convex.
         """
-        # Start from an upper bound of the wall stress. Slip alone, or shear alone, would need a larger stress to give
-        # the whole speed than both together. Use the smaller of these two stresses, after the one for shear has been
-        # increased by a margin.
+        # Start from an upper bound of the wall stress. To give the whole speed, slip alone or shear alone would need a
+        # larger stress than both together. Use the smaller of the stress for slip alone and the stress for shear alone,
+        # which is increased by a margin.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

@@ -2,8 +2,8 @@
 
 A column is a part of an array that holds one number of each particle, such as a component of its velocity. The
 particles are sorted by cell. Loops over the particles of a cell process LANES particles at a time: a first loop
-computes weights and values, and the compiler turns it into vector instructions. A second loop adds them up in the order
-of the particles, so the sums have the same bits as without vector instructions.
+computes weights and values, and the compiler turns this loop into vector instructions. A second loop adds up the values
+in the order of the particles, so the sums have the same bits as without vector instructions.
 
 A GPU has no columns. Its threads read the particles one by one (`transfer.py`, `filling.py`).
 """
@@ -58,10 +58,10 @@ def column_functions(scalar, dimensions: int, periodic: bool = False) -> SimpleN
     """Build functions that write and read the columns of particles.
 
     - `store` copies a particle into entry k of each column.
-    - `add_mass` adds the mass of the particles of a cell to a sum. Their weights fall linearly to zero at a distance of
-      one cell from a point.
-    - `add_velocity` adds their weights and weighted velocities along an axis to two sums. The velocities are continued
-      linearly to the point.
+    - `add_mass` adds the mass of the particles of a cell to a sum. The weights of the particles fall linearly to zero
+      at a distance of one cell from a point.
+    - `add_velocity` adds the weights of the particles, and their weighted velocities along an axis, to two sums. The
+      velocities are continued linearly to the point.
 
     The entries of a cell begin at `begin`, and there are `count` of them. The columns are `stride` entries apart. In a
     `periodic` pipe, `length` is the length after which the pipe repeats itself.

@@ -80,11 +80,11 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
 def edge_function(scalar, dimensions: int, law: str):
     """Build the function `apparent_at_edge`, which returns the apparent viscosity at a corner between two cells.
 
-    The shear rate varies within these cells. The difference of the cells' mean velocities over the distance of their
-    centres is therefore a mean of the rate over both cells, in which the weight of a point falls linearly with its
-    distance from the corner. If the stress varies linearly, this mean is (F(s + d) - 2 F(s) + F(s - d)) / d^2. Here F
-    is the second integral of the rate over the stress, s is the stress at the corner, and d is the change of the stress
-    across one cell. `apparent_at_edge` solves this equation for s.
+    The shear rate varies within these cells. The difference of the cells' mean velocities, divided by the distance of
+    the cells' centres, is therefore a mean of the rate over both cells, in which the weight of a point falls linearly
+    with its distance from the corner. If the stress varies linearly, this mean is (F(s + d) - 2 F(s) + F(s - d)) / d^2.
+    Here F is the second integral of the rate over the stress, s is the stress at the corner, and d is the change of the
+    stress across one cell. `apparent_at_edge` solves this equation for s.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions, law)
@@ -182,9 +182,9 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         """Return a wall's stress on a cell, this stress's derivative with respect to `speed`, and the slip velocity.
 
         The cell lies at the wall, and `speed` is its mean velocity along the wall. This velocity is the sum of the slip
-        velocity and of the mean velocity due to shear within the cell. If the cell is a ring about an axis, `ring`
-        corrects the latter. Newton's method is kept between two bounds, because the velocity is not a convex function
-        of the stress.
+        velocity and of the mean velocity due to shear within the cell. If the cell is a ring about an axis, the mean
+        velocity due to shear is multiplied by `ring`. Newton's method is kept between two bounds, because the velocity
+        is not a convex function of the stress.
         """
         stiff = unyielded_viscosity(g)
         # The speed is the sum of slip and shear. The stress would be larger if the whole speed were slip, and also if

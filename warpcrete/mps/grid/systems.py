@@ -129,10 +129,10 @@ def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tu
 def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int]]:
     """Return the operations of a multigrid cycle, as `kernels/mps/grid/multigrid.py` describes them.
 
-    Each level visits the next coarser one `visits` times, with `steps` smoothing steps before and after the visits. The
-    first smoothing step of a level is part of the operation before it. A level has two arrays for its solution, `even`
-    and `odd`, which smoothing reads and writes in alternation. The solution of the finest level is in `odd` before the
-    cycle, and in `even` after it.
+    Each level visits the next coarser level `visits` times, with `steps` smoothing steps before and after the visits.
+    The first smoothing step of a level is part of the operation before it. A level has two arrays for its solution,
+    `even` and `odd`, which smoothing reads and writes in alternation. The solution of the finest level is in `odd`
+    before the cycle, and in `even` after it.
     """
     found: list[tuple[int, int, int, int]] = []
 

@@ -65,8 +65,8 @@ def part_room(scene: PartScene) -> Room:
     """Return the box of cells around the simulated part of the pump line."""
     frame, size, h = Frame(scene), scene.radius, scene.rounded_spacing
     wide = scene.widest
-    # The number of sample points grows with the length of the part, so that the points include nearly the farthest
-    # point of every bend.
+    # The number of sample points grows with the length of the part, so that a sample point lies near the farthest point
+    # of every bend.
     count = max(MIN_AXIS_POINTS, math.ceil(POINTS_PER_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.to_grid(points)

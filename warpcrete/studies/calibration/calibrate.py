@@ -78,11 +78,11 @@ def run_calibration(
     """Find the parameters of the scenes in `modules` that reproduce `targets`, a file or a mapping.
 
     Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
-    for each free parameter); verification runs come on top. `batch` is the number of sets in one round (default: 4,
-    plus 2 for each free parameter). `repeat` is the number of verification runs of the likeliest parameters, each with
-    another seed; if no scene depends on a random seed, the likeliest parameters are simulated once. Raises
-    :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError` if all runs that
-    should yield the value of a target fail.
+    for each free parameter); verification runs are made in addition. `batch` is the number of sets in one round
+    (default: 4, plus 2 for each free parameter). `repeat` is the number of verification runs of the likeliest
+    parameters, each with another seed; if no scene depends on a random seed, the likeliest parameters are simulated
+    once. Raises :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError` if all
+    runs that should yield the value of a target fail.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     with files_read() as files:

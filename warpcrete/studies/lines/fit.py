@@ -82,9 +82,9 @@ def fit_line(
     before the measurement. :func:`.with_known` combines this earlier knowledge with the fit. If no slip layer explains
     all gauges, the band is widened until it contains them (:func:`.with_gauges`).
 
-    `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge have the
-    same error. The scatter of its readings about this error adds to it (:func:`_squares`). If `gauge` is 0, all
-    deviations from the fit count as scatter.
+    `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge share
+    this error. The scatter of the readings is a further error (:func:`_squares`). If `gauge` is 0, all deviations from
+    the fit count as scatter.
 
     `yields` is the range of the layer's yield stress that the mix states [Pa]. The band at other flows follows from the
     error of the fitted yield stress, or from this range if the yield stress was not fitted (:func:`.with_yields`).

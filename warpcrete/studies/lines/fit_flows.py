@@ -1,8 +1,8 @@
 """Range of the yield stress of a slip layer that was fitted to a trial line, and its effect at other flows.
 
 Pressures at one flow determine the friction at this flow only. A layer with a larger yield stress and a smaller
-viscosity has the same friction there, but less friction at a larger flow and more at a smaller one. Pressures at two
-flows determine the yield stress with an error, which has the same effect.
+viscosity has the same friction there, but less friction at a larger flow and more friction at a smaller flow. Pressures
+at two flows determine the yield stress with an error, which has the same effect.
 """
 
 import math
@@ -52,8 +52,8 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
     the fitted layer. If the pressures determine the yield stress, its range is given by `yield_deviation`. Otherwise it
     is the range from before the measurement (:func:`known_yields`). The viscosity of the layers is at least `THINNEST`.
 
-    The layers at the ends of the band of the friction (`layer_ends`) have the yield stress that goes with this friction
-    according to the errors of the fit.
+    The errors of the fit relate the yield stress to the friction. With this relation, the layers at the ends of the
+    band of the friction (`layer_ends`) get their yield stresses.
 
     If the pressures do not determine the yield stress, the band of the fitted viscosity contains the viscosities of
     these layers.
@@ -127,9 +127,9 @@ def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> 
     """Return the logarithm of the factor by which errors of the fittings may change the fitted layer.
 
     If the fittings of one kind have a larger friction than assumed, the same gauges give a layer with less resistance.
-    The effects of both ends of their range are averaged in squares, because only one of them can occur. The effects of
-    several kinds are added in squares. Bends are left out if their factor was fitted, because the errors of the fit
-    contain their effect.
+    The effects of both ends of the range of their friction are averaged in squares, because only one of them can occur.
+    The effects of several kinds are added in squares. Bends are left out if their factor was fitted, because the errors
+    of the fit contain their effect.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)

@@ -21,10 +21,10 @@ VALVE_PRESSURE = 0.8e6
 """Pressure loss of a stop valve [Pa] (JGJ/T 10)."""
 REDUCER_EXTRA_LOSS = ((0.0, 0.0208, 0.025, 0.0417, 0.05, 0.0833), (0.0, 0.047, 0.082, 0.117, 0.161, 0.452))
 """Additional pressure loss of a reducer, as a fraction of the loss in straight pipe of the same bores and length. The
-first tuple holds changes of radius divided by the length of the reducer, the second the additional loss at each of
-them. Source: simulated flows of the concrete no1 at 20 and 30 m3/h through reducers from 150 to 125 mm and from 125 to
-100 mm over 0.15 to 0.6 m, with 12 cells across. In a pipe that widens from 100 to 125 mm over 0.5 m, the simulated loss
-is 0.993 times that of straight pipe."""
+first tuple holds changes of radius divided by the length of the reducer, and the second tuple holds the additional loss
+for each change. Source: simulated flows of the concrete no1 at 20 and 30 m3/h through reducers from 150 to 125 mm and
+from 125 to 100 mm over 0.15 to 0.6 m, with 12 cells across. In a pipe that widens from 100 to 125 mm over 0.5 m, the
+simulated loss is 0.993 times the loss in straight pipe."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def range_of(part: Part, straight: float) -> tuple[float, float] | None:
     - The line's file states the part's friction. The result is None.
     - The part is a straight pipe. The result is None.
     - For all other parts, the result is the range in :data:`MODEL_ERRORS` for the kind of part, such as a bend. For a
-      valve, the upper end is :data:`VALVE_PRESSURE` divided by `straight` if that is higher.
+      valve, the upper end is :data:`VALVE_PRESSURE` divided by `straight` if this ratio is higher.
     """
     error = MODEL_ERRORS.get(part.kind)
     if part.factor is not None:

@@ -51,8 +51,8 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered, and only those with the same kind of simulated aggregates,
-    because aggregates limit the cells. They are ranked by four criteria, the most important first:
+    Only records of the scene function `name` are considered, and only records with the same kind of simulated
+    aggregates, because aggregates limit the cells. The records are ranked by four criteria, the most important first:
 
     - whether a closed form exists for both scenes or for neither of them,
     - how few knobs (accuracy parameters) exist in only one of the two scenes,

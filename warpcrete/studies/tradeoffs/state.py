@@ -119,7 +119,8 @@ class Trade(Judging):
         """Return the names of the levels that the knobs have in a setting, by the name of the knob.
 
         A knob is a parameter that trades accuracy for run time, and a level is one of its values. Levels with the same
-        name correspond to each other in different scenes. Knobs that are as in the scene as given are left out.
+        name correspond to each other in different scenes. Knobs with the same value as in the scene as given are left
+        out.
         """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}

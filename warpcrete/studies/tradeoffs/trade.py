@@ -77,7 +77,7 @@ def run_trade(
     With a `scheduler`, runs are distributed over the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. Each
     worker runs one simulation at a time. It has a GPU, or `threads` cores (default 1), to itself. The budget remains
     wall time, so more workers measure more settings. Raises :class:`SceneError` before anything is written if the
-    settings are impossible, and after the first run if the budget is too short for a second.
+    settings are impossible, and after the first run if the budget is too short for a second run.
     """
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)

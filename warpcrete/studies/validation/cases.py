@@ -22,8 +22,7 @@ SCATTER_KEYS = ("concretes", "from", "to")
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""Reciprocal of the fraction of groups of cases that are held out. The cases of a held-out group are not used to fit
-any constant."""
+"""One in this number of groups of cases is held out. The cases of a held-out group are not used to fit any constant."""
 FITTED = {
     "slump": ("yeh-2007", "ferraris-1998"),
     "fitting": ("park-2020", "calibe"),
@@ -80,7 +79,7 @@ def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
     """Return the groups of cases that no fit of a constant uses, as pairs of kind and group.
 
     About a third of the groups that were known at the time of the fits are held out, for each kind; if a kind had two
-    groups, one is held out. The choice follows from a hash of the groups' names, so that nobody can make it after
+    groups, one is held out. The choice follows from a hash of the groups' names, so that nobody can choose groups after
     seeing the results. All groups that were added later are held out as well (:data:`ADDED`).
     """
     found = set()

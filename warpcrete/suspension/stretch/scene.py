@@ -140,7 +140,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
 
     @property
     def ways(self) -> int:
-        """Ratio of pressure gradient times radius to the stress at the wall: 2 in a pipe, 1 between planes."""
+        """Pressure gradient times radius, divided by the stress at the wall: 2 in a pipe, 1 between planes."""
         return 1 if self.depth else 2
 
     @property
