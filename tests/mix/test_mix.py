@@ -229,3 +229,28 @@ def test_an_assumed_air_content_is_told(air):
             f"leaves {1e3 * (1 - 320 / 3100 - 60 / 2250 - 0.175 - 0.02):.3g} l/m3 ({0.675 * 27:.3g} ft3/yd3)" in said[0]
         )
         assert mix["yield stress"].way == "slump of 177.8 mm (7 in)"
+
+
+@pytest.mark.parametrize(
+    ("stated", "bulk", "stress"),
+    [
+        ({"spread": "600 mm", "water_binder": 0.4}, 3.0, (1.0, 1.0)),
+        ({"slump": "200 mm"}, 1.0, (1 / 1.25, 1.25)),
+        ({"concrete": {"yield_stress": 60, "viscosity": 40}}, 1.0, (1.0, 1.0)),
+    ],
+    ids=["paste", "slump", "nothing"],
+)
+def test_a_thickener_triples_the_viscosity_of_an_estimated_layer_and_widens_its_band(stated, bulk, stress):
+    """The band becomes wider by a factor of 1.25 to both sides; so does that of a yield stress from the slump.
+
+    A viscosity of the bulk that follows from the paste is tripled as well, with the same relative band.
+    """
+    plain, thick = (mix_of({"density": 2350, **stated, "thickener": each}) for each in (False, True))
+
+    def ratios(name):
+        ends = ([each[name].low, each[name].value, each[name].high] for each in (plain, thick))
+        return [b / a if a else 1.0 for a, b in zip(*ends, strict=True)]
+
+    assert ratios("slip viscosity") == pytest.approx([3 / 1.25, 3.0, 3 * 1.25])
+    assert ratios("slip yield") == pytest.approx([stress[0], 1.0, stress[1]])
+    assert ratios("viscosity") == pytest.approx([bulk] * 3)
