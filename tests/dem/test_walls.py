@@ -146,6 +146,19 @@ def test_wall_impulse_and_moment_are_those_of_the_forces(start, steps):
     assert angular == pytest.approx(np.cross([0.2, 0, 0], impulse), rel=1e-9, abs=1e-12)
 
 
+def test_the_top_speed_of_a_wall_is_that_of_its_farthest_point_from_the_pivot():
+    """Walls of the speed 5 m/s that spin with 2 rad/s; the farthest corner of the mesh is 5 m away from the pivot."""
+    motion = Prescribed(velocity=(3.0, 0.0, 4.0), spin=(0.0, 0.0, 2.0), pivot=(4.0, 3.0, 0.0), ramp_time=0.1)
+    mesh = dict(name="wall", vertices=np.array([[0.0, 0, 0], [7, 3, 0], [4, 7, 0]]), faces=np.array([[0, 1, 2]]))
+    plane, axis = dict(name="wall", point=(4.0, 1.0, 0.0), normal=(0, 0, 1)), Axis((0, 0, 0), (1, 0, 0), (Line(1.0),))
+    assert MeshWall(**mesh, motion=motion).top_speed() == pytest.approx(5 + 2 * 5)
+    assert PlaneWall(**plane, motion=motion).top_speed() == pytest.approx(5 + 2 * 2)
+    aside = Prescribed(velocity=(0.0, 0.0, 5.0), pivot=(4.0, 3.0, 0.0))
+    assert PipeWall(name="wall", axis=axis, radius=0.1, motion=aside).top_speed() == pytest.approx(5)
+    driven = Driven(direction=(0, 0, 1), force=1.0, mass=1.0)
+    assert MeshWall(**mesh).top_speed() == PlaneWall(**plane, motion=driven).top_speed() == 0
+
+
 @pytest.mark.parametrize("mesh", [False, True], ids=["plane", "mesh"])
 def test_work_of_a_wall_at_constant_speed_is_its_impulse_times_its_speed(start, mesh):
     """The work on the concrete is that of force and moment, also in steps of different lengths."""

@@ -9,6 +9,7 @@ from mixes import BULK, written
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.inputs.concretes import concrete
 from warpcrete.core.units import number
+from warpcrete.mix.layer import layers
 from warpcrete.mix.mix import mix_of, read_mix
 from warpcrete.theory.fits import straight_line
 from warpcrete.theory.inverse import (
@@ -254,3 +255,15 @@ def test_a_thickener_triples_the_viscosity_of_an_estimated_layer_and_widens_its_
     assert ratios("slip viscosity") == pytest.approx([3 / 1.25, 3.0, 3 * 1.25])
     assert ratios("slip yield") == pytest.approx([stress[0], 1.0, stress[1]])
     assert ratios("viscosity") == pytest.approx([bulk] * 3)
+
+
+def test_the_band_of_a_layer_from_the_viscosity_has_the_band_of_the_viscosity():
+    """The layer is 3 mm of the paste that is thickened by a volume fraction a of aggregate as (1 - a / 0.8)^-2.
+
+    The band of the viscosity, 20 % to both sides, is widened by a factor of 3 to both sides.
+    """
+    parts = {"cement": 380, "water": 185, "sand": 800, "gravel": 980}
+    mix = mix_of({"concrete": {"yield_stress": 60, "viscosity": 40, "uncertainty": "20 %"}, "parts": parts})
+    (eta,) = [eta for eta, _ in layers(mix.given, mix.concrete, mix["viscosity"]) if eta.way.startswith("viscosity")]
+    paste = (1 - mix.given.sand_and_stone / 0.8) ** 2 / 0.003
+    assert (eta.low, eta.value, eta.high) == pytest.approx((32 * paste / 3, 40 * paste, 48 * paste * 3))
