@@ -90,7 +90,7 @@ def restarted() -> list[float]:
 SEGREGATIONS = (-0.6, -0.2, 0.2)
 QUICK = {
     "the paper's case": Told("how-to/closed-form.md",
-        rf"at 1500 cm3/s: {N} kPa in the pipe, {N} between planes, {N} as the paper",
+        rf"at 1500 cm3/s, the pressure is {N} kPa in the pipe, {N} kPa between planes, and {N} kPa by the equations",
         lambda: printed("theory --concrete no1 --flow 1500e-6", rf"pipe [\d.]+ {N}", rf"plane [\d.]+ {N}",
                         rf"paper [\d.]+ {N}", factor=1e-3)),
     "the paper's case of a mix": Told("validation/mix.md",
