@@ -43,6 +43,26 @@ def test_heights_and_spreads_are_those_of_the_shape():
     assert heaps.height_at(body, (0.5, 0.6), (0, 0.1)) == 0.0
 
 
+def test_cells_that_meet_at_corners_belong_to_one_heap():
+    """A row along the diagonal hangs together; one empty cell separates a stray from it."""
+    spheres = np.array([[k, k, 0.5, 0.5] for k in (0.5, 0.5, 1.5, 2.5, 4.5)])
+    assert heaps.main_body(spheres).tolist() == [True] * 4 + [False]
+    assert heaps.main_body(spheres * [-1, 1, 1, 1]).tolist() == [True] * 4 + [False]
+
+
+def test_the_spread_of_an_oval_heap_is_the_mean_over_all_directions():
+    """The heap ends at the farthest point of each ray that a sphere covers, here by sampling points of the rays."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(-10, 11) * 0.1, np.arange(-10, 11) * 0.1))
+    place = np.stack([x, y], 1)[x**2 + (y / 0.4) ** 2 < 1]
+    spheres = np.column_stack([place, np.zeros(len(place)), np.full(len(place), 0.06)])
+    angle, along = 2 * np.pi * np.arange(heaps.DIRECTIONS) / heaps.DIRECTIONS, np.arange(0, 1.1, 2e-3)
+    points = along[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)[:, None]
+    apart = np.min([np.hypot(*np.moveaxis(points - each, -1, 0)) for each in place], axis=0)
+    reach = np.where(apart < 0.06, along, 0.0).max(1)
+    assert reach.max() > 2 * reach.min()
+    assert heaps.spread(spheres) == pytest.approx(2 * reach.mean(), abs=4e-3)
+
+
 def test_light_is_seen_through_what_no_grain_darkens():
     one = np.array([[0.0, 0.0, 0.1, 0.01]])
     dark = heaps.shadow(one, 0.02, 0.03, 5e-4)

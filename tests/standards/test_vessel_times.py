@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from made_runs import ROWS, RUNS
 
+from warpcrete.core.run.method import passage_time
 from warpcrete.standards.standard_test import is_at_rest
 
 TIMES = {
@@ -40,3 +41,22 @@ def test_a_box_is_at_rest_when_most_of_its_concrete_is_slow():
     assert is_at_rest(rows, 1.0, 1e-3) and not is_at_rest(rows, 1.0, 4e-4) and not is_at_rest(rows, 1.5, 1e-3)
     assert not is_at_rest([{**row, "speed_of_most": 2e-3} for row in rows[:1]] + rows[1:], 0.0, 1e-3)
     assert not is_at_rest([{"time": row["time"], "fastest": row["fastest"]} for row in rows], 1.0, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("column", "time"),
+    [
+        ([0.0, 1.0, 2.0, 4.0], 3.0),
+        ([0.0, 1.0, 3.0, 4.0], 2.0),
+        ([0.0, 4.0, 1.0, 4.0], 0.75),  # The first passage counts.
+        ([0.0, 1.0, 2.0, 2.9], None),
+        ([3.0, 4.0, 5.0, 6.0], None),
+        ([4.0, 1.0, 0.0, 5.0], None),
+        ([3.0], None),
+    ],
+)
+def test_a_passage_needs_a_row_before_it(column, time):
+    """A column that is at the value or beyond it from the start never reaches it, whatever it does later."""
+    series = {"time": np.array([0.0, 1.0, 2.0, 4.0])[: len(column)], "front": np.array(column)}
+    fallen = series | {"front": -series["front"]}
+    assert passage_time(series, "front", 3.0) == passage_time(fallen, "front", -3.0, True) == time
