@@ -106,8 +106,8 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
         """Compute the new search direction of row `i`, and this row of the matrix times the search directions.
 
         `old` is the index in the array `direction` at which the previous search directions begin. The function computes
-        the new directions of the neighbouring rows itself from their previous ones. No barrier is therefore needed
-        before the product.
+        the new directions of the neighbouring rows itself from their previous directions. No barrier is therefore
+        needed before the product.
         """
         if i >= count:
             return wp.float64(0.0)

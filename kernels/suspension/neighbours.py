@@ -212,8 +212,8 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
                 cutoff, roughness, dt, longest,
             )  # fmt: skip
         # Neighbours also include the sides of the box that are walls or planes of symmetry. Beyond a plane of symmetry
-        # lies the mirror image of the aggregate. The reduced radius for this image is half that for a wall, and the gap
-        # and the speed of approach to the image are twice those to the plane.
+        # lies the mirror image of the aggregate. For this image, the reduced radius is half the reduced radius for a
+        # wall, and the gap and the speed of approach are twice the values for the plane.
         beside = vec()
         closest = reach
         for side in range(6):

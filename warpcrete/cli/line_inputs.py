@@ -146,7 +146,7 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
 
 
 def _flow(settings: Mapping[str, Any], line: PipeLine, guessed: bool) -> float | None:
-    """Return the volume flow [m3/s] that the option `--flow` states, or else the file of the line.
+    """Return the volume flow [m3/s] that the option `--flow` states, or that the file of the line states.
 
     Without a flow, return None if the slip layer is fitted to measured pressures, or if the user stated only the slump
     or spread of the concrete (`guessed`). Raises `click.UsageError` in all other cases.

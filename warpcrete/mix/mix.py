@@ -256,7 +256,7 @@ def mix_named(name: str) -> Mix | None:
 def mix_in(found: NamedConcrete) -> Mix | None:
     """Return the mix of a concrete, or None if the concrete has no mix.
 
-    Constants in the concrete's own section `flow` take precedence over those calculated from the mix.
+    Constants in the concrete's own section `flow` take precedence over constants that are calculated from the mix.
     """
     if found.mix is None:
         return None

@@ -127,8 +127,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
 def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple[float, float] | None:
     """Return the sizes of the stones [m] that the names of the parts state, as in '#67 stone' or 'gravel 4/16'.
 
-    The result is None if the mix has a sieve curve, or if no part has such a name. Of several sizes, the result reaches
-    from the smallest to the largest.
+    The result is None if the mix has a sieve curve, or if no part has such a name. If the names state several sizes,
+    the result reaches from the smallest to the largest of them.
     """
     if "sieve" in given:
         return None
@@ -194,8 +194,8 @@ def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 def _thickener(given: Mapping[str, Any]) -> bool:
     """Return whether the mix contains a viscosity-modifying admixture.
 
-    Either the entry `thickener` states this, or the name of an ingredient. Raises :class:`SceneError` if the entry
-    denies an admixture that an ingredient names.
+    The entry `thickener` or the name of an ingredient states this. Raises :class:`SceneError` if the entry denies an
+    admixture that an ingredient names.
     """
     parts = given.get("parts")
     named = parts is not None and any(is_thickener(str(name)) for name in parts)

@@ -30,7 +30,7 @@ from .running import OutcomeCallback, previous_outcome, run_cases
 
 SCHEDULERS = ("local", "slurm")
 """Kinds of Dask schedulers that the program itself can start. Any other text that the user states as the scheduler is
-the address of a running one."""
+the address of a running scheduler."""
 LOCAL_SCHEDULER_OPTIONS = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
 """Options of a scheduler that only processes on this machine can reach."""
 STOP_POLL_INTERVAL = 1.0

@@ -38,7 +38,7 @@ height."""
 
 PARTIAL = "some runs have no value"
 """Label in the legend for the rings around mean values. A ring means that some of the finished runs have no value of
-the quantity, so that the mean lacks them."""
+the quantity, so that the mean does not include these runs."""
 
 
 def draw(

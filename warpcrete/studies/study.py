@@ -299,8 +299,8 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
 def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
     """Return the cases without those parameters that do not affect the results of the case.
 
-    Raises :class:`SceneError` if a parameter that varies affects none of the cases, or if another parameter affects
-    none and its rule is strict. For a parameter whose rule is not strict, such as the density of aggregates in a flow
+    Raises :class:`SceneError` if a parameter that varies affects none of the cases, or if another parameter affects no
+    case and its rule is strict. For a parameter whose rule is not strict, such as the density of aggregates in a flow
     without aggregates, creating the scene gives a warning.
     """
     found = [replace(case, parameters=scene.effective_values(case.parameters)) for case in cases]

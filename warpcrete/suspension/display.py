@@ -81,7 +81,7 @@ class SuspensionDisplay(SphereDisplay, FreeDisplay):
     def cut(self) -> float | None:
         """Coordinate y [m] of the cutting plane, in the middle of the concrete at the start.
 
-        No aggregate crosses a plane of symmetry, so a cut along it would show none of them.
+        No aggregate crosses a plane of symmetry, so a cut along such a plane would show no aggregates.
         """
         scene = self.simulation.scene
         return 0.5 * float(scene.extent[1, 0] if scene.round else scene.depth)

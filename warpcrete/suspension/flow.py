@@ -228,10 +228,7 @@ class SuspensionFlow(GridFlow):
         }  # fmt: skip
 
     def invert_blocks(self) -> None:
-        """Recompute the inverse diagonal blocks of the aggregates in the viscous matrix after new contacts changed it.
-
-        The matrix is that of the viscous solve.
-        """
+        """Recompute the aggregates' inverse diagonal blocks after new contacts have changed the viscous matrix."""
         for stage in self._blocks:
             stage()
 

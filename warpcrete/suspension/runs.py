@@ -14,7 +14,7 @@ SOLVE_BYTES = 4 * 8 * 64
 precision.
 
 With each direction, the solve stores the direction's product with the matrix. A direction and its product have eight
-numbers for each cell. The number counts 64 directions, because hardly any solve needs more than 60
+numbers for each cell. The memory is sufficient for 64 directions, because hardly any solve needs more than 60
 iterations.
 """
 DEEPEST = 0.3

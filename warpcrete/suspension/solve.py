@@ -263,7 +263,7 @@ class CoupledSolve:
         """Make the effect of a search direction orthogonal to earlier effects, and return the best step along it.
 
         The effect is the product of the matrix with the direction. The best step is the one that minimises the
-        residual. It is 0 if the effect is zero.
+        residual. The step is 0 if the effect is zero.
         """
         change, effect = self.directions[number]
         self._weigh(effect)

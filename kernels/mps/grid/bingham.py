@@ -140,9 +140,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     def beside_wall(g: Grid, stress: scalar, inner: scalar, width: scalar):
         """Return the mean velocity of a cell at a wall minus the velocity at the wall, and its derivative.
 
-        Both velocities are those of the concrete along the wall, so slip is not included. The derivative of the
-        difference is with respect to `stress`, the shear stress at the wall. Across the cell, the stress changes
-        linearly from this value to `inner` at the side opposite the wall.
+        Both are velocities of the concrete along the wall, so slip is not included. The derivative of the difference is
+        with respect to `stress`, the shear stress at the wall. Across the cell, the stress changes linearly from this
+        value to `inner` at the side opposite the wall.
         """
         # The stress varies linearly across the cell, from `stress` at the wall to `inner`. The difference is `change`.
         # Where the stress is tau, the velocity relative to the wall is u = width / change * (F(stress) - F(tau)). Here

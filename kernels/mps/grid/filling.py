@@ -80,8 +80,8 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
         """Return the part of a particle's weight that falls on neighbouring wall cells.
 
         The weight of a particle is distributed over the cells around it. No concrete is in wall cells, so the caller
-        adds their part to the particle's own cell. Otherwise concrete that lies on a wall would count only half. `d` is
-        the vector from the cell's centre to the particle.
+        adds the part of wall cells to the particle's own cell. Otherwise concrete that lies on a wall would count only
+        half. `d` is the vector from the cell's centre to the particle.
         """
         sum = scalar(0.0)
         for n in range(1, corners):

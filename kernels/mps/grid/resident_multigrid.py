@@ -96,7 +96,7 @@ def resident_functions(scalar, width: int) -> SimpleNamespace:
     ) -> wp.float64:  # fmt: skip
         """Compute the new search direction in a row, and the product of this row of the matrix and the new direction.
 
-        In `Solve.direction`, the previous direction begins at index `old`, and the new one at `new`. The function
+        In `Solve.direction`, the previous direction begins at index `old`, and the new direction at `new`. The function
         computes the new direction in the neighbouring rows itself, so no barrier is needed before the product.
         """
         if k >= rows:

@@ -78,7 +78,7 @@ def part_room(scene: PartScene) -> Room:
         low[1] = 0.0
     high[2] = 0.0
     # Sines and cosines are rounded differently on different processors. A box that is a whole number of cells wide must
-    # not get one more cell on some of them.
+    # not get one more cell on some processors.
     counts = np.ceil((high - low) / h - ROUNDING).astype(int)
     low[2] = -counts[2] * h
     front = MIRROR if scene.is_half else WALL

@@ -260,9 +260,9 @@ class PartScene(Parametrised, PartSettings):
     def middle(self) -> tuple[float, float]:
         """Arc lengths [m] between which this part of the pump line bends or changes its bore.
 
-        The range extends from the first bend or taper to the last one. Without bends and tapers, the range is the
-        stretch in which the bore of the part's triangle mesh changes its radius. In a straight pipe of constant bore,
-        both values are half the length of the part.
+        The range extends from the first to the last bend or taper. Without bends and tapers, the range is the stretch
+        in which the bore of the part's triangle mesh changes its radius. In a straight pipe of constant bore, both
+        values are half the length of the part.
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)

@@ -393,7 +393,7 @@ def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[f
     """Return the parameter sets of the next round: a quarter proposed by Optuna, the others taken from the posterior.
 
     Each parameter is scaled to 0 to 1 over its range. The first set from the posterior is its maximum. Every further
-    one is the posterior sample that is farthest from all sets so far; distances are scaled by the posterior's standard
+    set is the posterior sample that is farthest from all sets so far; distances are scaled by the posterior's standard
     deviations.
     """
     assert calibration.posterior is not None

@@ -82,7 +82,7 @@ class Calibration:
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Return the best value minus the measured one, divided by the target's standard deviation (NaN if unknown).
+        """Return the best value minus the measured value, divided by the target's standard deviation (NaN if unknown).
 
         The best value is the mean of the verification runs, or without such runs the prediction for the likeliest
         parameters.

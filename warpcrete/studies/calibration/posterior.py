@@ -113,7 +113,7 @@ class Posterior:
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
         """Return the central interval of a free parameter that holds the fraction `part` of the posterior samples.
 
-        The interval is extended to the likeliest value if that lies outside.
+        The interval is extended to the likeliest value if this value lies outside.
         """
         edge = 50 * (1 - part)
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])

@@ -42,7 +42,7 @@ class WallLaw:
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
         """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
 
-        The law is a straight line through the wall stresses over the pressures. `columns` holds the arrays
+        The law is a straight line, fitted to the wall stress as a function of the pressure. `columns` holds the arrays
         `axial_stress`, which serves as the pressure, and `wall_stress` [Pa]. `largest` is the pressure above which the
         wall stress is assumed constant [Pa].
         """

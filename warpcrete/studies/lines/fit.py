@@ -105,7 +105,7 @@ def fit_line(
     fit, widest = None, 0.5 * (high - low)
     if any(is_free(part) for part in line.parts):
         # Errors of the gauges may lead to an impossible factor of bends, which raises an error. Ignore this error,
-        # because a fit without this factor, as below, may still be possible.
+        # because the fit below, without this factor, may still be possible.
         with suppress(SceneError):
             fit = _fitted(line, concrete, taps, True, gauge, widest)
     if fit is None or not _is_better_than_published(fit.constants[2]):

@@ -129,7 +129,7 @@ def _open_yield(fit: LineFit, customary: bool) -> str:
 def _surprise(ratio: float) -> str:
     """Return a remark for the user that the fitted friction lies outside the band of the expected friction.
 
-    `ratio` is the fitted friction of straight pipe, divided by the expected one.
+    `ratio` is the fitted friction of straight pipe, divided by the expected friction.
     """
     return (
         f"- the measured friction in straight pipe is {ratio:.2g} times the expected one, and lies outside its band: "

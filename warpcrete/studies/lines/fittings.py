@@ -54,7 +54,7 @@ def methods_on_bends(customary: bool = False) -> str:
     """Return a sentence for site engineers that compares the friction of bends from two kinds of simulations.
 
     The simulations are of bends in pipes of 150 mm: as a fluid, and with stones as discrete elements. If `customary` is
-    true, the sentence has lengths also in feet.
+    true, the sentence also states lengths in feet.
     """
     wide, tight = (both(customary, "m", radius, digits=3) for radius in (0.5, 0.25))
     return (

@@ -49,8 +49,8 @@ class Loss:
         """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
 
         The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
-        below the lower limit or above the upper limit, it is returned instead of that limit. Without a range, both
-        limits equal the computed friction.
+        below the lower limit or above the upper limit, the computed friction takes the place of this limit. Without a
+        range, both limits equal the computed friction.
         """
         if self.range is None:
             return self.friction
