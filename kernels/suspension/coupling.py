@@ -38,7 +38,8 @@ This part is the inflow times YIELDING / (D a^-1 D^T), where D maps face velocit
 of the viscous matrix. The factor was chosen by the number of iterations in eight flows."""
 
 BODY_RESISTANCE = wp.constant(0.5)
-"""Factor of the mean resistance of an aggregate's faces in the matrix of the preconditioner's pressure solve.
+"""Factor by which the mean resistance of an aggregate's faces is multiplied in the matrix of the preconditioner's
+pressure solve.
 
 With factors from 0.2 to 1, the coupled solve needs the same number of iterations."""
 

@@ -195,8 +195,8 @@ def cover_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
 def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels that decide which faces in narrow gaps between aggregates and walls move with an aggregate.
 
-    They are launched in the order `close`, `shut`, `share`, `release`. `shut` runs with one task per face, the others
-    with one task per cell.
+    They are launched in the order `close`, `shut`, `share`, `release`. `shut` runs with one task per face, and the
+    other kernels with one task per cell.
     """
     Grid = grid_parameters_struct(scalar, 3)
     Cover = body_structs(scalar).Cover

@@ -113,7 +113,7 @@ def entering_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def weigh(g: Grid, flags: wp.array(dtype=wp.int32), entrance: Entrance, bodies: Bodies, excess: scalar):
-        """Set the force on each aggregate; `excess` is its density minus that of the mortar [kg/m3].
+        """Set the force on each aggregate; `excess` is the density of aggregates minus that of mortar [kg/m3].
 
         The extra mass of an aggregate is known. It is `excess` times its volume, plus the density of the mortar times
         the volume that has left the box.

@@ -116,7 +116,7 @@ def wall_search_function(scalar, of: GridKind):
 def others_function(scalar, of: GridKind, kind: BodyKind):
     """Build the function that stores the numbers of the spheres near a sphere, and returns their count.
 
-    Only pairs of spheres count whose closest points lie on the surfaces of their aggregates.
+    A pair of spheres counts only if its closest points lie on the surfaces of the aggregates.
     """
     Grid = grid_parameters_struct(scalar, 3)
     Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)

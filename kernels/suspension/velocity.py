@@ -389,7 +389,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def blend(g: Grid, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
         """Replace the mortar velocities in `flow` by the mean velocities of partly covered faces.
 
-        The mean is that of mortar and aggregate, weighted with the fractions of the face's area that they cover.
+        Each mean is taken over mortar and aggregate, weighted with the fractions of the face's area that they cover.
         """
         b, lane = share_of_body(wp.tid(), 0)
         if b < cover.count.shape[0]:

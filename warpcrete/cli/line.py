@@ -220,7 +220,7 @@ def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
 
 
 def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:
-    """Return the concrete twice, with its slip layer at each end of the uncertainty band before a fit, or None.
+    """Return the concrete with its slip layer at the lower and the upper end of its band before a fit, or None.
 
     Return None if the mix states the layer, because that layer may come from an earlier fit to the same pressures.
     """

@@ -144,7 +144,7 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
 def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:
     """Return an entry as converted by the function `read`, or None if the entry is missing.
 
-    An error in the entry states its line in the file.
+    A message about an error in the entry states the line of the entry in the file.
     """
     if name not in given:
         return None
@@ -292,7 +292,7 @@ def _share(given: Any, heavy: float, unusual: str | None) -> float:
     """Return the volume fraction of coarse aggregate in the concrete, from the entry `aggregate` of a mix.
 
     An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. `unusual` is the name of stones whose
-    density differs from it, or None. Raises :class:`SceneError` if the stones cannot fit into the volume, or if an
+    density differs from `heavy`, or None. Raises :class:`SceneError` if the stones cannot fit into the volume, or if an
     amount in kg/m3 belongs to such stones.
     """
     if is_amount(given, "kg/m3") and unusual is not None:

@@ -23,8 +23,8 @@ def plot_flow(
     """Return a figure of the pressure over time and of velocity profiles, each compared with theory.
 
     `particles` are drawn next to the curves: their positions [m], their colours as RGB bytes, and their spacing [m].
-    `scale` is the label, lowest and highest value of their colour bar. `materials` are the names and RGB bytes of
-    colours that show materials instead of a quantity.
+    `scale` is the label, lowest and highest value of the particles' colour bar. `materials` are the names and RGB bytes
+    of colours that show materials instead of a quantity.
     """
     figure = new_figure(run.scene.caption, 3.0, 3.0)
     places = [["pressure"], ["profile"]] if particles is None else [["pressure", "particles"], ["profile", "particles"]]

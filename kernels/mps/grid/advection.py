@@ -217,7 +217,7 @@ def advect_kernel(scalar, of: GridKind):
             after[last] = after[last] - length * wp.floor((after[last] - g.origin[last]) / length)
         if wp.static(of.cut):
             # Rounding errors and the curvature of the particle's path may lead a particle into a wall, so push the
-            # particle out. Most particles are far from walls, so compute the direction only of those that are not.
+            # particle out. Most particles are far from walls, so compute the direction only for particles near walls.
             near = wp.bool(True)
             for _ in range(2):
                 if near:

@@ -41,8 +41,8 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
         distance of one cell.
         """
         # Measure the height h of the surface from the cell's bottom, in cell heights. With a linear weight of the
-        # particles, a surface below the cell's centre (h < 1/2) gives a density of (h + 1/2)^2 / 2, and one above it
-        # gives 1 - (3/2 - h)^2 / 2. Solve for h.
+        # particles, a surface below the cell's centre (h < 1/2) gives a density of (h + 1/2)^2 / 2, and a surface above
+        # the centre gives 1 - (3/2 - h)^2 / 2. Solve for h.
         if particle_density < scalar(0.5):
             return wp.sqrt(scalar(2.0) * particle_density) - scalar(0.5)
         return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - particle_density), scalar(0.0)))

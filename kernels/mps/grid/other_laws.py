@@ -1,7 +1,7 @@
 """Functions on a grid for flow laws other than Bingham's, and for slip layers that are not linear.
 
-The functions have the same names and meanings as those in the module `bingham`. The viscous part of each law comes from
-the module `flow_laws`.
+The functions have the same names and meanings as the functions in the module `bingham`. The viscous part of each law
+comes from the module `flow_laws`.
 """
 
 import functools
@@ -157,7 +157,8 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
 
     @wp.func
     def beside_wall(g: Grid, stiff: scalar, stress: scalar, inner: scalar, width: scalar):
-        """Return the mean velocity of a cell at a wall minus that of the concrete at the wall, and its derivative.
+        """Return a cell's mean velocity minus the concrete's velocity at the wall, and the derivative of the
+        difference.
 
         The derivative is taken with respect to `stress`, the stress at the wall. Within the cell, the stress falls
         linearly from this value to `inner` on the side opposite the wall.

@@ -171,7 +171,7 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
-        """Return how far below 1 a cell's particle density is because the cell and those around it are not full.
+        """Return how far below 1 a cell's particle density is because the cell and the cells around it are not full.
 
         Particle densities are divided by the density in full cells. Concrete is assumed to be spread evenly within each
         cell.

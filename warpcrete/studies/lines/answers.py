@@ -126,7 +126,7 @@ ON_CONCRETE = (
     "the areas of concrete piston and oil piston (data sheet)"
 )
 """Sentence that explains why the pump's own gauge does not show the pressure of the concrete: it measures the pressure
-of oil. It is printed for lines with a pump."""
+of oil. The sentence is printed for lines with a pump."""
 
 
 @dataclass(frozen=True)

@@ -56,8 +56,8 @@ CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to elastic modulus above which the wall friction is assumed constant, because the linear friction
 law is not valid for the large overlaps of elements at such pressures."""
 MIN_FLUX_RATIO = 0.8
-"""Ratio of the outflow of elements from a part to the inflow, below which a remark warns the user that the concrete is
-still being compressed."""
+"""Outflow of elements from a part, divided by the inflow into this part, below which a remark warns the user that the
+concrete is still being compressed."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
