@@ -1,6 +1,7 @@
 """Recordings and scenes are read back with the libraries that made them, and compared with the recorded state."""
 
 import sys
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -88,6 +89,8 @@ def test_usd_has_every_body_as_the_state_has_it(recorded):
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates"))
     codes = instancer.GetPositionsAttr().GetTimeSamples()
     assert np.array(codes) / stage.GetTimeCodesPerSecond() == pytest.approx(kept.times, abs=1e-9)
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (codes[0], codes[-1])
+    assert (stage.GetFramesPerSecond(), stage.GetTimeCodesPerSecond()) == (round(1 / INTERVAL), 1000)
     assert np.array(instancer.GetScalesAttr().Get()) == pytest.approx(np.repeat(kept.tables[0].size[:, None], 3, 1))
     assert list(instancer.GetProtoIndicesAttr().Get()) == kept.tables[0].template.tolist()
     for code, table, previous in zip(codes, kept.tables, [None, *kept.tables]):
@@ -224,6 +227,27 @@ def test_paraview_has_every_sphere_and_wall_as_the_state_has_it(recorded):
             first = own
         assert cells[1] > 8 and np.all(fields["wall"] == 0) and own == pytest.approx(first, abs=1e-6)
         assert np.linalg.norm(own[:, :2], axis=1).max() == pytest.approx(0.1, rel=1e-2)
+
+
+def test_faces_of_several_walls_have_corners_of_their_own_wall(tmp_path):
+    """One file holds all walls, one after the other: a triangle, which stays, and a square, which moves and turns."""
+    flat, square = (
+        np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]),
+        np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]]),
+    )
+    walls = [SimpleNamespace(vertices=flat, faces=np.array([[0, 1, 2]])),
+             SimpleNamespace(vertices=square, faces=np.array([[0, 1, 2], [0, 2, 3]]))]  # fmt: skip
+    poses = [(np.zeros(3), np.array([0.0, 0, 0, 1])), (np.array([5.0, 0, 1]), np.array([0.0, 0, 1, 1]) / np.sqrt(2))]
+    recorder = ParaViewRecorder(tmp_path)
+    recorder._walls, recorder._display = walls, SimpleNamespace(wall_pose=poses.__getitem__)
+    recorder._files["walls"] = Poly(tmp_path / "walls.vtkhdf", "Polygons")
+    recorder._draw_walls(0.0)
+    recorder._files["walls"].write()
+    found = everything(tmp_path / "walls.vtkhdf")
+    turned = [[5, 0, 1], [5, 2, 1], [3, 2, 1], [3, 0, 1]]  # A quarter turn about z takes x to y.
+    assert found["VTKHDF/Points"] == pytest.approx(np.concatenate([flat, turned]), abs=1e-6)
+    assert found["VTKHDF/Polygons/Connectivity"].tolist() == [0, 1, 2, 3, 4, 5, 3, 5, 6]
+    assert found["VTKHDF/PointData/wall"].tolist() == [0, 0, 0, 1, 1, 1, 1]
 
 
 def test_steps_of_a_file_for_paraview_are_the_same_however_they_came_in(tmp_path):
