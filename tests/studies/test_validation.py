@@ -79,6 +79,12 @@ def test_a_mean_of_several_concretes_counts_each_of_them(tmp_path):
     assert cases[0].concretes == 5 and found.inside == pytest.approx(expected) and 0.3 < expected < 0.5
     (whole,) = [x for x in validate(cases, quick=True).summaries() if x.chosen == "all"]
     assert whole.inside == pytest.approx((5 * expected + 1) / 6)
+    # If the mean is the value of a model, it has a row of its own, and the summary counts one measurement.
+    found = validate(read_cases(written(tmp_path, text.replace("where: log 7", "basis: model") + plain)), quick=True)
+    rows = {x.basis: (x.count, x.inside) for x in found.summaries()}
+    assert rows == {"measurement": (1, 1.0), "model": (1, pytest.approx(expected))}
+    assert found.counts().startswith("1 of these values were measured. Those of a model (1) or a guideline (0)")
+    assert found.record()["cases"][0]["basis"] == "model" and "| yard | pipe | model |" in found.table()
     moved = text.replace(f"from: {0.8 * exact}", f"from: {1.2 * exact}").replace(
         f"measured: [{exact}", f"measured: [{1.22 * exact}"
     )
@@ -113,9 +119,13 @@ def test_shipped_predictions_of_pipes_hold():
     """Figures of notebooks/validation/measurements.md: held-out pipes and self-compacting over ordinary concrete."""
     found = validate(kinds=["pipe", "ratio", "line", "layer"], quick=True)
     assert not found.refused
-    pipes = {each.chosen: each for each in found.summaries() if each.kind == "pipe"}
+    rows = [each for each in found.summaries() if each.kind == "pipe"]
+    (measured,) = [each for each in rows if each.basis == "measurement"]
+    assert measured.chosen == "all, held out" and measured.count == 1 and measured.inside == 1
+    pipes = {each.chosen: each for each in rows if each.basis == "model"}
+    assert pipes["all"].count == 12 and pipes["held out"].count == 3
     assert pipes["held out"].error < 0.3 and pipes["held out"].inside == pytest.approx(1.0)
-    assert pipes["all"].inside == pytest.approx(0.935, abs=0.01)  # of 65 concretes
+    assert pipes["all"].inside == pytest.approx(0.935, abs=0.01)  # of 64 concretes
     assert 0.85 < pipes["all"].ratio < 1.15 and pipes["all"].factor < 1.8
     ratios = {each.case.name: each for each in found.comparisons if each.case.kind == "ratio"}
     assert 1.6 < ratios["takeda-1994-powder"].band.value < 5 and ratios["takeda-1994-powder"].inside
@@ -128,7 +138,8 @@ def test_slumps_of_real_concrete_lie_in_their_bands():
     found = validate(kinds=["slump"], quick=True)
     assert not found.refused
     (summary,) = [each for each in found.summaries() if each.chosen == "others"]
-    assert summary.error < 0.10 and 0.85 < summary.inside < 0.95 and summary.count == 84
+    assert summary.error < 0.10 and 0.85 < summary.inside < 0.95 and summary.count == 80
+    assert [each.count for each in found.summaries() if each.basis == "model"] == [4]
     stiff = [each for each in found.comparisons if each.case.group == "ferraris-1998"]
     assert len(stiff) == 4 and not any(each.held_out for each in stiff)
     assert all(each.ratio < 0.5 for each in stiff) and [each.inside for each in stiff] == [1.0, 1.0, 1.0, 0.0]
@@ -177,7 +188,7 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
     out = tmp_path / "out"
     done = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--every", "--out", str(out), "--quiet"])
     assert done.exit_code == 0, done.output
-    assert "| yard | pipe | no | Pa/m |" in done.output and "| 1.00 | 100 % |" in done.output
+    assert "| yard | pipe | measurement | no | Pa/m |" in done.output and "| 1.00 | 100 % |" in done.output
     assert {each.name for each in out.iterdir()} == {f"validation.{end}" for end in ("md", "csv", "json", "png")}
     again = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--out", str(out)])
     assert again.exit_code != 0
@@ -193,6 +204,7 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
     [
         ("kind: pipe", "kind: pope", "case kind = 'pope': must be one of pipe"),
         ("source: own", "source: mine", "case source = 'mine': must be one of own"),
+        ("where: log 7", "basis: hearsay", "case basis = 'hearsay': must be one of measurement, model, guideline"),
         ("where: log 7", "were: log 7", "key of a case = 'were': must be one of id"),
         ("[20 m3/h, 40 m3/h]", "[20 m3/h]", "case measured = 2: must have one value for each of the 1 flows"),
         ("measured: [1 kPa/m, 2 kPa/m]", "measured: [1 kPa, 2 kPa]", "case measured = '1 kPa': must be a number"),

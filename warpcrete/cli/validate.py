@@ -8,7 +8,7 @@ from ..core.run.files import check_new
 from ..core.run.folders import new_folder
 from ..core.run.progress import progress_bar
 from ..studies.validation.cases import read_cases
-from ..studies.validation.validate import SUMMARY_COLUMNS, markdown, summary_cells, validate
+from ..studies.validation.validate import validate
 
 
 def run(
@@ -29,7 +29,7 @@ def run(
     if every:
         click.echo(found.table())
     else:
-        click.echo("\n".join(markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in found.summaries()])))
+        click.echo("\n".join(found.summary_lines()))
         if found.blocking:
             click.echo("\n" + "\n".join(found.blocking_lines()))
         for name, why in found.refused.items():

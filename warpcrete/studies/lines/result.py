@@ -47,8 +47,9 @@ COVERAGE = {"paste": " in about nine of ten cases", "fit": " in about 95 % of ca
 """Words on how often the uncertainty band of a line's pressure contains the measured pressure. The key is 'paste' if
 the slip layer, and so the band, follows from the composition of the paste, and 'fit' if the layer was fitted to a trial
 line with this concrete, now or earlier. It is 'contradicted' if the gauges of an earlier trial line contradict each
-other, and otherwise 'other'. For slip layers that follow from the paste, `warpcrete validate` finds 94 % of the
-measured concretes in straight pipe inside the band, and two of only three measured whole lines."""
+other, and otherwise 'other'. For slip layers that follow from the paste, `warpcrete validate` finds 93 % of the
+concretes in straight pipe, whose frictions are values of a model, inside the band, and two of only three measured whole
+lines."""
 HALVINGS = 12
 """Number of bisection steps in the search for the longest stop, or the fastest growth of the yield stress, after which
 a pump restarts the line."""

@@ -14,9 +14,12 @@ from .kinds import BLOCKING, UNITS
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
 KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "scatter", "uncertainty", "note",
-        "test")  # fmt: skip
+        "test", "basis")  # fmt: skip
 """Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. If `flow` lists several
 values, `measured` lists one measured value for each of them."""
+BASES = ("measurement", "model", "guideline")
+"""Origins that the compared value of a case may have: a measurement, a model that was fitted to measurements, or a
+guideline that states what usually goes together. The first is the default."""
 SCATTER_KEYS = ("concretes", "from", "to")
 """Entries of a case's section `scatter`, which describes the concretes of which the measured value is the mean."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
@@ -69,6 +72,8 @@ class Case:
     ends: tuple[float, float] | None = None
     """Smallest and largest measured value of the concretes behind a mean, in the SI unit of the case's kind; None if
     the case is a single concrete."""
+    basis: str = BASES[0]
+    """Origin of the compared value, one of :data:`BASES`."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
@@ -132,6 +137,8 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
             refuse("case", str(given.get("id", "")), f"has no {key!r}", f"add '{key}: ...'")
     one_of("case kind", given["kind"], UNITS)
     one_of("case source", given["source"], sources)
+    basis = given.get("basis", BASES[0])
+    one_of("case basis", basis, BASES)
     unit = UNITS[given["kind"]]
     flows = tuple(amount("case flow", x, "m3/s") for x in _listed(given.get("flow", [])))
     measured = tuple(amount("case measured", x, unit) for x in _listed(given["measured"]))
@@ -159,6 +166,7 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
         measured=measured,
         concretes=concretes,
         ends=ends,
+        basis=basis,
         note=str(given.get("note", "")),
         lines=lines,
         folder=folder,

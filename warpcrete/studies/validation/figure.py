@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...core.drawing.style import RUN, SECOND, new_figure, rgb
+from .cases import BASES
 from .comparison import Comparison
 from .kinds import KINDS
 
@@ -14,14 +15,16 @@ TITLE = 28
 """Number of characters that fit into a line of the title of a panel."""
 MOST_LABELLED = 100
 """Ratio of the largest to the smallest value of an axis above which the axis labels powers of ten only."""
-STYLES = (
-    (False, False, {"marker": "o", "color": rgb(SECOND), "markerfacecolor": "white", "label": "others, with band"}),
-    (True, False, {"marker": "o", "color": rgb(SECOND), "label": "held out, with band"}),
-    (False, True, {"marker": "s", "color": rgb(RUN), "label": "simulated as a flow"}),
-)
-"""Markers of the three groups of cases in the figure. Each entry has three elements: True if the cases are held out
-(not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib. The first element is
-ignored for simulated cases."""
+COLOUR, WHITE = {"color": rgb(SECOND)}, {"color": rgb(SECOND), "markerfacecolor": "white"}
+STYLES = {
+    "measured, others": {"marker": "o", **WHITE},
+    "measured, held out": {"marker": "o", **COLOUR},
+    "by a model or guideline, others": {"marker": "D", **WHITE},
+    "by a model or guideline, held out": {"marker": "D", **COLOUR},
+    "simulated as a flow": {"marker": "s", "color": rgb(RUN)},
+}
+"""Groups of cases in the figure, each with the keyword arguments of Matplotlib for its markers. Held-out cases were not
+used to fit constants."""
 SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
 """Displayed unit for each kind of measurement: the factor from the SI unit to this unit, and its name. Kinds that are
 not listed are shown in SI units."""
@@ -42,6 +45,14 @@ def draw(comparisons: Sequence[Comparison]) -> Any:
     return figure
 
 
+def _group(comparison: Comparison) -> str:
+    """Return the group of cases to which a comparison belongs, a key of :data:`STYLES`."""
+    if comparison.simulated:
+        return "simulated as a flow"
+    basis = "measured" if comparison.case.basis == BASES[0] else "by a model or guideline"
+    return f"{basis}, {'held out' if comparison.held_out else 'others'}"
+
+
 def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
     """Draw all comparisons of one kind of measurement into one panel of the figure."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -52,8 +63,8 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
     axes.plot([low, high], [low, high], color="0.4", label="prediction equals measurement")
     axes.fill_between([low, high], [low / 2, high / 2], [low * 2, high * 2], color="0.92", linewidth=0,
                       label="within a factor of two")  # fmt: skip
-    for held, simulated, style in STYLES:
-        chosen = [each for each in own if each.simulated == simulated and (simulated or each.held_out == held)]
+    for group, style in STYLES.items():
+        chosen = [each for each in own if _group(each) == group]
         if not chosen:
             continue
         ends = [
@@ -62,7 +73,7 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
         ]
         axes.errorbar([factor * x.measured for x in chosen], [factor * x.band.value for x in chosen],
                       [[factor * x for x in end] for end in ends], linestyle="none",
-                      markersize=5, **style)  # fmt: skip
+                      markersize=5, label=group, **style)  # fmt: skip
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low / 1.3, high * 1.3))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < MOST_LABELLED * low else (1.0,)))

@@ -1,6 +1,7 @@
 """Comparison of predictions with measured cases: ratios, medians and the share of cases inside their bands."""
 
 import csv
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from ...core.drawing.html import html_table
 from ...core.errors import WarpcreteError, one_line, one_of
 from ...core.run.files import atomic_file, write_json
 from .blocked import BlockingComparison, compare_blocking
-from .cases import Case, held_out_groups, shipped_cases
+from .cases import BASES, Case, held_out_groups, shipped_cases
 from .comparison import Comparison, compare
 from .figure import draw
 from .kinds import BLOCKING, KINDS, UNITS
@@ -28,8 +29,11 @@ class Summary:
     """Statistics of the comparisons of one kind of measurement."""
 
     kind: str
+    basis: str
+    """Origin of the values with which the predictions are compared: "measurement", "model" or "guideline"."""
     chosen: str
-    """Name of the set of cases that the statistics cover: "all", "held out", "others" or "simulated"."""
+    """Name of the set of cases that the statistics cover: "all", "all, held out", "held out", "others" or
+    "simulated"."""
     count: int
     groups: int
     """Number of groups (mixes, lines or laboratories) to which the cases belong; groups are independent of each
@@ -64,29 +68,43 @@ class Validation:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
 
     def summaries(self) -> list[Summary]:
-        """Return statistics of the comparisons, in up to four rows for each kind of measurement.
+        """Return statistics of the comparisons, in up to four rows for each kind and each origin of the values.
 
-        The first row covers all cases that were not simulated. The second row covers the held-out cases among them,
-        which were never used to fit a constant. The third row covers the others, and the last row the simulated cases.
-        A row without cases, or with the same cases as the first row, is left out.
+        Values of models and guidelines have rows of their own, so that other rows count measurements alone. The first
+        row covers all cases that were not simulated; it says so if all are held out. The second row covers the held-out
+        cases among them, which were never used to fit a constant. The third row covers the others, and the last row the
+        simulated cases. A row without cases, or with the same cases as the first row, is left out.
         """
         found = []
-        for kind in KINDS:
-            own = [each for each in self.comparisons if each.case.kind == kind and not each.simulated]
+        for kind, basis in itertools.product(KINDS, BASES):
+            cases = [each for each in self.comparisons if (each.case.kind, each.case.basis) == (kind, basis)]
+            own = [each for each in cases if not each.simulated]
             parts = {
-                "all": own,
+                "all, held out" if all(x.held_out for x in own) else "all": own,
                 "held out": [x for x in own if x.held_out],
                 "others": [x for x in own if not x.held_out],
+                "simulated": [x for x in cases if x.simulated],
             }
-            parts |= {"simulated": [each for each in self.comparisons if each.case.kind == kind and each.simulated]}
             found += [
-                _summary(kind, name, part) for name, part in parts.items() if part and (name == "all" or part != own)
+                _summary(kind, basis, name, part)
+                for name, part in parts.items()
+                if part and (name.startswith("all") or part != own)
             ]
         return found
 
+    def counts(self) -> str:
+        """Return a sentence on how many compared values were measured, and how many have another origin."""
+        of = {basis: sum(x.case.basis == basis and not x.simulated for x in self.comparisons) for basis in BASES}
+        return (f"{of['measurement']} of these values were measured. Those of a model ({of['model']}) or a guideline "
+                f"({of['guideline']}) have rows of their own.")  # fmt: skip
+
+    def summary_lines(self) -> list[str]:
+        """Return the table of the statistics and the number of values by their origin, as lines of Markdown."""
+        return [*markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in self.summaries()]), "", self.counts()]
+
     def table(self) -> str:
         """Return tables of the statistics and of the cases as Markdown."""
-        lines = [*markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in self.summaries()]), ""]
+        lines = [*self.summary_lines(), ""]
         lines += markdown(CASE_COLUMNS, [_case_cells(each) for each in self.comparisons])
         lines += ["", *self.blocking_lines(), ""] if self.blocking else []
         lines += [f"- refused: {name}: {why}" for name, why in self.refused.items()]
@@ -108,8 +126,8 @@ class Validation:
         return {
             "summaries": [vars(each) for each in self.summaries()],
             "cases": [
-                {"id": x.case.name, "kind": x.case.kind, "group": x.case.group, "held_out": x.held_out,
-                 "simulated": x.simulated,
+                {"id": x.case.name, "kind": x.case.kind, "group": x.case.group, "basis": x.case.basis,
+                 "held_out": x.held_out, "simulated": x.simulated,
                  "unit": KINDS[x.case.kind].unit, "measured": x.measured, "predicted": x.band.value,
                  "low": x.band.low, "high": x.band.high, "causes": dict(x.band.shares), "source": x.case.source,
                  "note": x.case.note}
@@ -143,10 +161,12 @@ class Validation:
 
 
 SUMMARY_COLUMNS = (
-    "kind", "cases", "number", "groups", "median ratio", "median error", "inside", "median factor of band",
+    "kind", "value from", "cases", "number", "groups", "median ratio", "median error", "inside",
+    "median factor of band",
 )  # fmt: skip
 BLOCKING_COLUMNS = ("case", "held out", "observed", "verdict", "rules that warn", "agrees")
-CASE_COLUMNS = ("case", "kind", "held out", "unit", "measured", "predicted", "low", "high", "ratio", "inside")
+CASE_COLUMNS = ("case", "kind", "value from", "held out", "unit", "measured", "predicted", "low", "high", "ratio",
+                "inside")  # fmt: skip
 
 
 def validate(
@@ -186,10 +206,10 @@ def validate(
     return Validation(found, blocking, refused)
 
 
-def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
+def _summary(kind: str, basis: str, chosen: str, part: Sequence[Comparison]) -> Summary:
     ratios = np.array([each.ratio for each in part])
     return Summary(
-        kind, chosen, len(part), len({each.case.group for each in part}),
+        kind, basis, chosen, len(part), len({each.case.group for each in part}),
         float(np.median(ratios)),
         math.exp(float(np.median(np.abs(np.log(ratios))))) - 1,
         float(np.average([each.inside for each in part], weights=[each.case.concretes for each in part])),
@@ -199,14 +219,14 @@ def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
 
 def summary_cells(x: Summary) -> tuple[str, ...]:
     """Return the texts in the cells of a table row that shows the statistics of one kind of measurement."""
-    return (KINDS[x.kind].label, x.chosen, str(x.count), str(x.groups), f"{x.ratio:.2f}", f"{100 * x.error:.0f} %",
-            f"{100 * x.inside:.0f} %", f"{x.factor:.2f}")  # fmt: skip
+    return (KINDS[x.kind].label, x.basis, x.chosen, str(x.count), str(x.groups), f"{x.ratio:.2f}",
+            f"{100 * x.error:.0f} %", f"{100 * x.inside:.0f} %", f"{x.factor:.2f}")  # fmt: skip
 
 
 def _case_cells(x: Comparison) -> tuple[str, ...]:
     name = f"{x.case.name}, simulated" if x.simulated else x.case.name
     numbers = (x.measured, x.band.value, x.band.low, x.band.high)
-    return (name, x.case.kind, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
+    return (name, x.case.kind, x.case.basis, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
             *(f"{each:.4g}" for each in numbers), f"{x.ratio:.2f}", f"{100 * x.inside:.0f} %")  # fmt: skip
 
 
