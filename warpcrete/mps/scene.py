@@ -236,7 +236,7 @@ class FluidScene(Parametrised, FlowSettings):
     def __repr__(self) -> str:
         phases = "one phase" if self.aggregates is None else f"{100 * self.aggregates.fraction:.0f} % aggregate"
         return (
-            f"<FluidScene {self.name!r}: {self.concrete.name}, {phases}, {self.dimensions}D, R = {self.radius:g} m, "
+            f"<FluidScene {self.name!r}: {self.concrete.words}, {phases}, {self.dimensions}D, R = {self.radius:g} m, "
             f"{self.velocity:.4g} m/s, spacing {self.spacing:g} m>"
         )
 

@@ -78,6 +78,11 @@ class Concrete(Declared):
                 refuse(index, getattr(self, index), problem, "leave out one of the two")
 
     @property
+    def words(self) -> str:
+        """Name, yield stress and viscosity, such as "no1 (300 Pa, 397 Pa s)"; parameters may replace constants."""
+        return f"{self.name} ({self.yield_stress:.3g} Pa, {self.viscosity:.3g} Pa s)"
+
+    @property
     def bulk_law(self) -> FlowLaw:
         """Flow law of the concrete inside the slip layer (the bulk), with shear rates in [1/s]."""
         return FlowLaw(self.yield_stress, self.viscosity, self.flow_index, self.quadratic_viscosity)

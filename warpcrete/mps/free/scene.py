@@ -189,9 +189,7 @@ class FreeScene(Parametrised, FreeSettings):
     @property
     def caption(self) -> str:
         """Scene and concrete in words, for titles of figures and recordings."""
-        concrete = self.concrete
-        return (f"{self.name}, concrete {concrete.name} ({concrete.yield_stress:.3g} Pa, "
-                f"{concrete.viscosity:.3g} Pa s)")  # fmt: skip
+        return f"{self.name}, concrete {self.concrete.words}"
 
     @property
     def about_axis(self) -> bool:
@@ -205,7 +203,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     def __repr__(self) -> str:
         return (
-            f"<FreeScene {self.name!r}: {self.concrete.name}, {self.form}, "
+            f"<FreeScene {self.name!r}: {self.concrete.words}, {self.form}, "
             f"{self.width:g} m wide, spacing {self.spacing:g} m>"
         )
 

@@ -351,6 +351,6 @@ class PartScene(Parametrised, PartSettings):
             for piece in self.axis.pieces
         )
         return (
-            f"<PartScene {self.name!r}: {self.concrete.name}, R = {self.radius:g} m, {shape}, "
+            f"<PartScene {self.name!r}: {self.concrete.words}, R = {self.radius:g} m, {shape}, "
             f"{self.velocity:.4g} m/s, spacing {self.spacing:g} m>"
         )

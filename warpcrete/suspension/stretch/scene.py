@@ -232,6 +232,6 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
 
     def __repr__(self) -> str:
         return (
-            f"<StretchScene {self.name!r}: {self.concrete.name}, {self.aggregate_fraction:.0%} aggregates, "
+            f"<StretchScene {self.name!r}: {self.concrete.words}, {self.aggregate_fraction:.0%} aggregates, "
             f"R = {self.radius:g} m, {self.gradient:g} Pa/m, spacing {self.spacing:g} m>"
         )
