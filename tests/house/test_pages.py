@@ -132,8 +132,8 @@ def test_the_line_that_the_page_shows(tmp_path):
     text = (ROOT / "notebooks" / "theory" / "lines.md").read_text(encoding="utf-8")
     (tmp_path / "site.yaml").write_text(text.partition("```yaml\n")[2].partition("```")[0], encoding="utf-8")
     sentences = (
-        rf"a pressure of {N} bar at the pump; the closed form gives {N} bar\. With a slip layer that resists half as "
-        rf"much, the pressure is {N} bar, and with one that resists twice as much, {N} bar"
+        rf"a pressure of {N} bar at the pump; the closed form gives {N} bar\. If the slip layer resists half as "
+        rf"much, the pressure is {N} bar\. If it resists twice as much, the pressure is {N} bar"
     )
     simulated, theory, low, high = map(float, figures("theory/lines.md", sentences))
     found = printed(f"line {tmp_path / 'site.yaml'} ", rf"pump {N} bar .*?; {N} to {N} bar",
