@@ -32,8 +32,8 @@ PLUG = 1e3
 
 def main() -> None:
     """Run and draw."""
-    figure = new_figure("horizontal pipe, diameter 100 mm, concrete no2, 8.48 m3/h", 2.8, 4.2)
-    above, below = figure.subplots(2, 1, height_ratios=[2.8, 4.2])
+    figure = new_figure("horizontal pipe, diameter 100 mm, concrete no2, 8.48 m3/h", 3.7, 2.8)
+    above, below = figure.subplots(2, 1, height_ratios=[3.7, 2.8])
     pipe, concrete, flow = Line(length=0.3, rise=0.0), CONCRETES["no2"], TUBE["flow"]
     for name, given in RESTS.items():
         simulation = Simulation(scenes.pipe(**UNIT | given), device="cpu", threads=1)
@@ -43,6 +43,7 @@ def main() -> None:
         print(f"elements, {name}:", {each: round(run[each], 3) for each in found if each in run.result})
     stops = simulation.scene.pipe.stops
     above.axvspan(stops.stroke_time, stops.period, color="0.93", zorder=0)
+    above.text((stops.stroke_time + stops.period) / 2, 0.3, "stop", color="0.4", ha="center")
     for name, given in list(RESTS.items())[1:]:
         run = Simulation(scenes.tube(**TUBE | given, duration=1.0), device="cpu").run()
         below.plot(run.series["time"][1:], run.series["pressure"][1:] / 1e3, label=name, color=_colour(name))
@@ -54,10 +55,9 @@ def main() -> None:
             axes.axhline((value + more) / 1e3, color=rgb(THEORY), linestyle=line, label=words)
         axes.set(xlabel="time, the rest left out [s]", ylim=(0, None), xlim=(0, None))
         axes.spines[["top", "right"]].set_visible(False)
-    below.plot([], [], color=_colour("no rest"), label="no rest")
     above.set(ylabel="pressure [kPa]", title="elements: two strokes and a stop")
     below.set(ylabel="pressure [kPa]", title="flow: the restart")
-    legend_above(below)
+    legend_above(above)
     figure.savefig(Path(__file__).parent / "images" / "strokes.png", dpi=150)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import kept
 import numpy as np
@@ -17,6 +18,7 @@ from warpcrete.mix.rheology import FLATTEST, HEAP_CENTRE_MEDIAN, RHEOMETER_OVER_
 from warpcrete.studies.validation import predictions, simulated
 from warpcrete.studies.validation.cases import ADDED, FITTED, held_out_groups, read_cases, shipped_cases
 from warpcrete.studies.validation.comparison import compare
+from warpcrete.studies.validation.figure import draw
 from warpcrete.studies.validation.kinds import UNITS
 from warpcrete.studies.validation.predictions import PREDICTORS, mix_of_case
 from warpcrete.studies.validation.simulated import representatives, simulate
@@ -197,6 +199,19 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
     for more in ([], ["--quick"]):
         lost = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--device", "cuda:99", *more])
         assert str(lost.exception).startswith("device = 'cuda:99': ")
+
+
+def test_a_wrong_prediction_does_not_squeeze_the_measurements():
+    """The measured values set the width of a panel, and measured and predicted values its height."""
+    cases: Any = [
+        SimpleNamespace(
+            case=SimpleNamespace(kind="slump", basis="measured"), measured=measured, simulated=False, held_out=False,
+            band=SimpleNamespace(value=value, low=value, high=0.3),
+        ) for measured, value in ((0.1, 0.005), (0.25, 0.2))
+    ]  # fmt: skip
+    (axes,) = draw(cases).axes
+    assert axes.get_xlim() == pytest.approx((100 / 1.6, 250 * 1.6))
+    assert axes.get_ylim() == pytest.approx((5 / 2, 250 * 2))
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,8 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ...core.drawing.style import RUN, SECOND, new_figure, rgb
 from .cases import BASES
 from .comparison import Comparison
@@ -58,10 +60,13 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     factor, unit = SHOWN.get(kind, (1.0, KINDS[kind].unit))
-    values = [factor * x for each in own for x in (each.measured, each.band.value)]
-    low, high = min(values) / 1.6, max(values) * 1.6
-    axes.plot([low, high], [low, high], color="0.4", label="prediction equals measurement")
-    axes.fill_between([low, high], [low / 2, high / 2], [low * 2, high * 2], color="0.92", linewidth=0,
+    measured = [factor * each.measured for each in own]
+    values = [*measured, *(factor * each.band.value for each in own)]
+    left, right = min(measured) / 1.6, max(measured) * 1.6
+    low, high = min(values) / 2, max(values) * 2
+    line = np.array([left, right])
+    axes.plot(line, line, color="0.4", label="prediction equals measurement")
+    axes.fill_between(line, line / 2, line * 2, color="0.92", linewidth=0,
                       label="within a factor of two")  # fmt: skip
     for group, style in STYLES.items():
         chosen = [each for each in own if _group(each) == group]
@@ -74,9 +79,9 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
         axes.errorbar([factor * x.measured for x in chosen], [factor * x.band.value for x in chosen],
                       [[factor * x for x in end] for end in ends], linestyle="none",
                       markersize=5, label=group, **style)  # fmt: skip
-    axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low / 1.3, high * 1.3))
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < MOST_LABELLED * low else (1.0,)))
+    axes.set(xscale="log", yscale="log", xlim=(left, right), ylim=(low, high))
+    for axis, ratio in ((axes.xaxis, right / left), (axes.yaxis, high / low)):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < MOST_LABELLED else (1.0,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     shown = "" if unit == "1" else f" [{unit}]"
