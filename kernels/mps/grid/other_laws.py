@@ -157,8 +157,7 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
 
     @wp.func
     def beside_wall(g: Grid, stiff: scalar, stress: scalar, inner: scalar, width: scalar):
-        """Return a cell's mean velocity minus the concrete's velocity at the wall, and the derivative of the
-        difference.
+        """Return the cell's mean velocity relative to the concrete at the wall, and the derivative of this velocity.
 
         The derivative is taken with respect to `stress`, the stress at the wall. Within the cell, the stress falls
         linearly from this value to `inner` on the side opposite the wall.
