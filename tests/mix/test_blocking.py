@@ -230,6 +230,16 @@ def test_self_compacting_by_its_spread():
     assert wet.verdict == "risky" and wet.change
 
 
+@pytest.mark.parametrize(
+    ("entries", "verdict"),
+    [({"slump": None}, "unknown"), ({"slump": "200 mm"}, "fine"), ({"slump": None, "spread": "560 mm"}, "fine")],
+)
+def test_a_small_spread_may_be_that_of_a_flow_table(entries, verdict):
+    """Concrete that spreads by 480 mm only under the jolts of a flow table is much stiffer than it looks."""
+    found = verdicts(**{"spread": "480 mm", **entries})["consistency"]
+    assert found.verdict == verdict and ("flow table" in found.change) == (verdict == "unknown")
+
+
 def test_bleeding_is_unknown_if_only_the_sand_is():
     """300 kg of powder are 1.67 times 180 kg of water; with 15 % of 790 kg of sand they are 2.33 times."""
     aggregates = {"aggregate": None, "fine_sand": None}

@@ -286,6 +286,10 @@ def slump(mix: MixEntries) -> RuleVerdict:
 
     if mix.spread is not None:
         words = f"spread {shown(mix.spread)}; up to {shown(LARGEST_SPREAD)} were pumped"
+        if mix.spread < SELF_COMPACTING and mix.slump is None:
+            return RuleVerdict(name, "unknown", f"{words}; it counts as the spread of a cone without jolts",
+                               "if it was measured on a flow table with jolts (EN 12350-5), state the slump instead, "
+                               "because the concrete is much stiffer then", source)  # fmt: skip
         if mix.spread <= LARGEST_SPREAD:
             return RuleVerdict(name, "fine", words, "", source)
         return RuleVerdict(name, "risky", words, "lower the spread; check that stones do not sink", source)

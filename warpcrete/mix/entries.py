@@ -32,7 +32,8 @@ NUMBERS = {
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
     "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "write the unit, as in '180 mm' or '7 in', and give "
                                                                 "'spread' instead for softer concrete"),
-    "spread": Entry("Spread of the Abrams cone", "m", 0.35, 1.2),
+    "spread": Entry("Spread of the Abrams cone, without jolts", "m", 0.35, 1.2,
+                    "write the unit, as in '650 mm' or '26 in', and give 'slump' instead for stiffer concrete"),
     "t500": Entry("Time until the spread reaches 500 mm", "s", 0.5, 120),
     "water_binder": Entry(
         "Mass of water over mass of all powder (cement, ash, slag, filler); not needed if parts are given",
