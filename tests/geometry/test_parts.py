@@ -17,6 +17,7 @@ from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.mps.common.stepping import run_abreast
 from warpcrete.mps.part.layout import INLET, Frame, part_layout
+from warpcrete.mps.part.probes import stations_of
 from warpcrete.mps.part.simulation import PartSimulation
 from warpcrete.scenes import modules
 
@@ -32,6 +33,29 @@ def run(device, **given):
 def off(result, name):
     """Return the relative deviation of a gradient from theory."""
     return number(result[f"{name}_gradient"]) / number(result[f"{name}_gradient_theory"]) - 1
+
+
+@pytest.mark.parametrize(
+    ("given", "above"),
+    [
+        ({"unit": "horizontal"}, lambda s: 0 * s),
+        ({"unit": "vertical"}, lambda s: 0.4 - s),
+        (
+            {"unit": "bend-to-horizontal", "angle": 90.0, "elbow_radius": 0.3},
+            lambda s: np.where(s < 0.2, 0.5 - s, 0.3 * (1 - np.sin(np.clip((s - 0.2) / 0.3, 0, math.pi / 2)))),
+        ),
+    ],
+    ids=["level", "upright", "bend"],
+)
+def test_the_pressure_along_a_part_is_the_friction_ahead_and_the_weight_above(given, above):
+    """Everywhere the concrete bears the weight up to the height of the end, `above` metres higher."""
+    scene = scenes.part(**SHORT | OWN | given)
+    s = np.linspace(0, scene.axis.length, 13)
+    table = stations_of(scene, s, 1e4 * (scene.axis.length - s))
+    assert table.columns["pressure"] == pytest.approx(
+        1e4 * (scene.axis.length - s) + 2300 * 9.81 * above(s), rel=1e-9, abs=1e-6
+    )
+    assert table.columns["friction_ahead"][0] == pytest.approx(1e4 * scene.axis.length)
 
 
 # Measured, with four cells over the radius: +0.010, -0.022 and +0.031, which is 0.028 in a pipe five times as long; no1
