@@ -15,7 +15,7 @@ from warpcrete import RunFolder, RunFolderError, SceneError, Simulation, Warpcre
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import DiskFullError
 from warpcrete.core.run import run_loop
-from warpcrete.core.run.files import LOCK
+from warpcrete.core.run.files import LOCK, check_new
 from warpcrete.core.run.folders import FolderLock
 from warpcrete.core.run.recorder import Recorder
 
@@ -118,6 +118,11 @@ def test_folders_are_never_overwritten(tmp_path, monkeypatch):
     (tmp_path / "mine" / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"mine': exists already"):
         Simulation(scene, **SETTINGS, out=tmp_path / "mine")
+    (tmp_path / "mine" / "study.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(
+        RunFolderError, match=r"read its study with warpcrete\.load, or continue it with 'warpcrete study"
+    ):
+        check_new(tmp_path / "mine")
     hold = FolderLock(tmp_path / "run")
     with pytest.raises(RunFolderError, match="is in use by process"):
         run.save(tmp_path / "copy")

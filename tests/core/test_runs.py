@@ -4,10 +4,13 @@ import copy
 import json
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
 import urllib.request
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -164,6 +167,20 @@ def test_a_warning_names_the_line_of_the_user():
     with pytest.warns(PlausibilityWarning, match="yield_stress") as caught:
         scenes.slump(yield_stress="300 kPa")
     assert {warning.filename for warning in caught} == {__file__}
+
+
+def test_the_lines_of_the_readme_need_no_further_packages(ran, tmp_path, monkeypatch, capsys):
+    """A plain installation has neither pandas nor xarray. The run of the lines is replaced by a short one."""
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.S)
+    monkeypatch.chdir(tmp_path)
+    for package in ("pandas", "xarray"):
+        monkeypatch.setitem(sys.modules, package, None)
+    simulation = SimpleNamespace(run=lambda: ran)
+    monkeypatch.setattr(warpcrete, "Simulation", lambda *given, **settings: simulation, raising=False)
+    monkeypatch.setattr(warpcrete, "load", lambda folder: SimpleNamespace(view=lambda: None), raising=False)
+    exec(code.replace("end_pressure", "pressure"))
+    assert "columns of" in capsys.readouterr().out and (tmp_path / "pressure.png").is_file()
 
 
 def test_a_dataset_needs_xarray(ran, monkeypatch):

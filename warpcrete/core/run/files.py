@@ -167,7 +167,10 @@ def check_new(folder: Path) -> None:
             f"out = '{folder}': cannot be used as a folder ({error.strerror}); choose another path"
         ) from error
     if existing and not is_empty(folder):
-        raise RunFolderError(f"out = '{folder}': exists already; choose a new folder (runs are never overwritten)")
+        kept = "choose a new folder (runs are never overwritten)"
+        if (folder / "study.json").is_file():
+            kept += f", read its study with warpcrete.load, or continue it with 'warpcrete study --resume {folder}'"
+        raise RunFolderError(f"out = '{folder}': exists already; {kept}")
     created: list[Path] = []
     probe = folder / "probe"
     try:
