@@ -30,7 +30,10 @@ def block_sums(width: int) -> SimpleNamespace:
 
     @wp.func
     def total(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
-        """Return the sum of the `blocks` values in `partial` from `first` on; a whole block must call this together."""
+        """Return the sum of the `blocks` values that start at `partial[first]`.
+
+        All threads of the block must call this function together.
+        """
         own = wp.float64(0.0)
         for k in range(thread % width, blocks, width):
             own += partial[first + k]

@@ -76,12 +76,12 @@ def contact_functions(scalar):
     def plane_spring(touch: Touch, rate: t.vec3, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
         """Advance a spring in the contact plane by one step.
 
-        Return its new force, True if it slips, and the energy lost by slip [J].
+        Return the spring's new force, True if the spring slips, and the energy lost by slip [J].
 
-        `rate` is the velocity at which the spring's ends move apart [m/s], `history` its old force, and `limit` the
-        largest force that it can bear [N]. The old force rotates with the contact plane. In the first step of a
-        contact, the spring is loaded only during the part of the step after first touch. The energy lost is the mean
-        spring force of the step times the slip distance.
+        `rate` is the velocity at which the spring's ends move apart [m/s]. `history` is the spring's old force [N], and
+        `limit` is the largest force that the spring can bear [N]. The old force rotates with the contact plane. In the
+        first step of a contact, the spring is loaded only during the part of the step after first touch. The energy
+        lost is the mean spring force of the step times the slip distance.
         """
         overlap = wp.max(-touch.gap, scalar(0.0))
         loading = dt
@@ -105,7 +105,7 @@ def contact_functions(scalar):
     def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
         """Advance the shear spring of a contact by one step.
 
-        Return its new force, True if it slips, and the energy lost by slip [J].
+        Return the spring's new force, True if the spring slips, and the energy lost by slip [J].
         """
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)

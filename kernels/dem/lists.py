@@ -164,8 +164,8 @@ def list_kernels(scalar) -> SimpleNamespace:
     ):
         """Store for each sphere the longest gap that one of its bonds spans, with a margin for rounding.
 
-        The bonds are those of the old neighbour list. Only gaps longer than the skin are stored, because the search for
-        neighbours finds all shorter ones anyway.
+        The bonds are read from the old neighbour list. Only gaps longer than the skin are stored, because the search
+        for neighbours finds all pairs with shorter gaps anyway.
         """
         i = wp.tid()
         s = spheres.scene[i]

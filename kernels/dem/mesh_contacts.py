@@ -79,9 +79,9 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
     ):  # fmt: skip
         """Return the contacts of a sphere with meshes after a new contact on wall `w` has been added.
 
-        If an existing contact hides the new one, the list of contacts stays unchanged. Otherwise the contacts that the
-        new one hides are removed, and the new one takes the place of the first of them. A count above MESH_SLOTS means
-        that there was no room for the new contact.
+        If an existing contact hides the new contact, the list of contacts stays unchanged. Otherwise the existing
+        contacts that the new contact hides are removed, and the new contact takes the place of the first removed one.
+        A returned count above MESH_SLOTS means that there was no room for the new contact.
         """
         for s in range(found):
             if owners[s] == w and hides(normals[s], gaps[s], n, gap, radius):
@@ -120,8 +120,8 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
     ):
         """Return the normal and the gap of a contact, seen from the side that the sphere touched in the previous step.
 
-        This matters if the sphere's centre has been pushed through the surface: the normal must then not flip to the
-        other side.
+        This matters if the sphere's centre has been pushed through the surface: the normal must then still point to the
+        side from which the sphere came.
         """
         gap = distance - radius
         # Among the normals that this sphere had on this wall in the previous step, find the one most nearly parallel to

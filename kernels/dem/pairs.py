@@ -59,7 +59,7 @@ def pair_functions(scalar):
         """Compute the geometry of the contact between spheres i and j.
 
         `sign` is 1 where sphere i has the lower permanent number, else -1. The normal points from the sphere with the
-        lower number to the other one.
+        lower number to the sphere with the higher number.
         """
         pair = PairTouch()
         offset = xyz(position_j) - xyz(position_i)

@@ -212,8 +212,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     """Return the kernel that finds the smallest stable step of each scene.
 
     It runs with one task per body, beginning with the body `begin`. With half lists, another kernel adds each pair's
-    stiffness to entries of `estimate.sums` for both of its spheres. This kernel sets these entries to zero after use,
-    for the next estimate.
+    stiffness to entries of `estimate.sums` for both of its spheres. The returned kernel sets these entries to zero
+    after use, for the next estimate.
     """
     t = types(scalar)
     structs = array_structs(scalar)

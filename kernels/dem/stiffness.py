@@ -76,9 +76,9 @@ def stiffness_functions(scalar):
     def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
         """Return the rotational stiffness matrix of a contact, about the body's centroid.
 
-        `r` is the vector from the centroid to the contact. The stiffness has two parts. One part is that of the
-        contact's springs, which act at the end of the lever `r`. The other part is the bond's own bending and torsion
-        stiffness. The same formula gives the rotational damping of dashpots.
+        `r` is the vector from the centroid to the contact. The stiffness has two parts. The first part comes
+        from the contact's springs, which act at the end of the lever `r`. The second part is the bond's own bending and
+        torsion stiffness. The same formula gives the rotational damping of dashpots.
         """
         c = wp.cross(r, n)
         levers = times_unit(wp.length_sq(r)) - squared(r)
