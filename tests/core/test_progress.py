@@ -99,8 +99,9 @@ def test_the_time_left_leaves_out_compiling(clock, capsys):
     for elapsed, phase, fraction in calls:
         clock.time = 100.0 + elapsed
         bar(phase, fraction, {})
-    lines = [line for line in lines_of(capsys) if line.startswith("packing")]
-    assert [line.partition("%, ")[2] for line in lines] == [
+    lines = lines_of(capsys)
+    assert lines[0] == "compiling: 50 %, 00:20 elapsed, about 00:20 left"  # Twenty seconds passed before the first call.
+    assert [line.partition("%, ")[2] for line in lines if line.startswith("packing")] == [
         "00:10 elapsed, about 01:30 left", "00:20 elapsed, about 01:20 left", "00:30 elapsed, about 01:10 left",
         "00:40 elapsed, about 01:00 left",
     ]  # fmt: skip

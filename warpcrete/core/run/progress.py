@@ -92,8 +92,9 @@ class ProgressBar:
         """Begin a phase, or continue the phase that compiling has interrupted, without the time of compiling."""
         before, interrupted = self._phase, self._interrupted
         self.close()
-        if name == "compiling":
-            self._interrupted = before
+        if name == "compiling" and before is not None:
+            # The first call comes only after some kernels are compiled, so compiling began after the call before it.
+            self._interrupted, fraction, now = before, 0.0, before.called
         if interrupted is not None and interrupted.name == name:
             interrupted.skip_pause(now)
             self._phase = interrupted
