@@ -23,7 +23,7 @@ from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.crossings import first_crossing
 from warpcrete.geometry.lines import check_crossing, read_line
-from warpcrete.geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, bore_of
+from warpcrete.geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, bore_of, scale_hint
 from warpcrete.geometry.meshes import load
 from warpcrete.geometry.one_pipe import (
     IN_BENDS,
@@ -204,7 +204,8 @@ def _mesh(given: PartParameters) -> _PipeCourse:
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
     if abs(bore.ends[0] / given.diameter - 1) > DIAMETER_TOLERANCE:
         problem = f"differs from the diameter of the mesh at its start, {bore.ends[0]:.4g} m"
-        refuse("diameter", given.diameter, problem, "leave it out")
+        unit = scale_hint("wall_scale", given.wall_scale, bore.ends[0], given.diameter)
+        refuse("diameter", given.diameter, problem, unit or "leave it out")
     check_velocity("flow", given.flow, given.flow / (math.pi * min(bore.radii) ** 2))
     inner = bore.axis
     begin, end = given.straight, given.straight + inner.length

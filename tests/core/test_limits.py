@@ -328,13 +328,16 @@ def test_places_beyond_all_lines_are_refused_without_a_warning(tmp_path):
     assert "elbow" not in refused(lambda: scenes.part(straight=1e300), "straight")
 
 
-def test_meshes_of_too_many_triangles_are_refused(monkeypatch):
+def test_meshes_of_too_many_triangles_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(meshes, "MAX_FACES", 12)
     assert len(meshes.load(trimesh.creation.box(), "wall").faces) == 12
     monkeypatch.setattr(meshes, "MAX_FACES", 11)
     assert "has 12 triangles, but at most 11 are allowed" in refused(
         lambda: meshes.load(trimesh.creation.box(), "wall"), "wall"
     )
+    monkeypatch.setattr(trimesh, "load_mesh", lambda path: pytest.fail("a large STL file is counted before it is read"))
+    (tmp_path / "large.stl").write_bytes(bytes(80) + (12).to_bytes(4, "little") + bytes(600))
+    assert "has 12 triangles" in refused(lambda: meshes.load(tmp_path / "large.stl", "wall"), "wall")
 
 
 def test_lists_in_a_line_may_be_as_long_as_their_limits(monkeypatch):

@@ -202,6 +202,9 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     assert done.exit_code == 0, done.output
     assert "fitted to 4 points: --slip-viscosity 640 --slip-yield 75;" in done.output
     assert done.output.count("\npipe ") == 4
+    points.write_text("\n".join(["pressure [bar],flow [m3/h]", *rows * 9]) + "\n", encoding="utf-8")
+    logged = CliRunner().invoke(cli, given)
+    assert "fitted to 36 points" in logged.output and logged.output.count("\npipe ") == 4
 
     own = ["--concrete", "own", "--density", "2354", "--viscosity", "397", "--yield-stress", "190"]
     bulk = CliRunner().invoke(cli, ["theory", *own, *pipe, "--fit", str(points)])

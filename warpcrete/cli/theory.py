@@ -27,6 +27,8 @@ from .option_types import LENGTH
 LINE = ("length", "gravity")
 """Properties of a pipe whose options have the same meaning. The user states the diameter instead of the radius, and may
 state the rise as a height."""
+MOST_FLOWS_SHOWN = 20
+"""Maximum number of measured flows for which tables show the closed form; a data logger measures thousands."""
 
 
 def fields() -> dict[str, Field]:
@@ -100,7 +102,7 @@ def run(
         measured, pressed = read_points(fit)
         factors = {name: values[name] or 1.0 for name in FACTORS}
         concrete = _fitted(concrete, line, measured, pressed, factors)
-        flows = flows or tuple(measured)
+        flows = flows or _tabulated(measured)
     tables = [table(concrete, line, flows or (() if pressures else (FLOW,)), pressures)]
     if rest is not None:
         tables += [restart_table(concrete, line, rest, growth, each) for each in flows or (FLOW,)]
@@ -110,6 +112,16 @@ def run(
     elif aggregate is not None:
         refuse("aggregate", aggregate, "has no effect without --segregation", "add, for example, --segregation -0.2")
     click.echo("\n\n".join(tables))
+
+
+def _tabulated(flows: Sequence[float]) -> list[float]:
+    """Return the measured flows that tables show: all, or a few from the smallest to the largest if there are many."""
+    if len(flows) <= MOST_FLOWS_SHOWN:
+        return list(flows)
+    different = sorted(set(flows))
+    last = len(different) - 1
+    shown = min(MOST_FLOWS_SHOWN, len(different))
+    return [different[round(k * last / max(shown - 1, 1))] for k in range(shown)]
 
 
 def _share(given: float | None, name: str) -> float:

@@ -39,6 +39,8 @@ STEPS = 4000
 PROFILE = 0.05
 """Distance along the axis between neighbouring places at which the radius of a mesh bore is stored, divided by the
 bore's diameter."""
+FILE_UNITS = {"millimetres": 1e-3, "centimetres": 0.01, "metres": 1.0, "inches": 0.0254, "feet": 0.3048}
+"""Units of length of mesh files [m]."""
 Way = tuple[float, float, float]
 Fields = tuple[str, str]
 WAYS: tuple[Way, ...] = (
@@ -86,9 +88,10 @@ def bore_of(
         reach = _surface(found, fields[0]).sections(np.array([place]))[0]
         wide = 2 * float(np.sqrt(np.mean(reach**2)))
         if diameters is not None and abs(wide / diameters[end] - 1) > DIAMETER_TOLERANCE:
+            unit = scale_hint(fields[1], scale, wide, diameters[end])
             refuse(fields[0], name, f"is {wide:.4g} m wide where it {which}, but the line is {diameters[end]:g} "
-                   "m wide", "where the mesh ends, set 'outlet' to its width; where the mesh begins, put a part "
-                             "'reducer' before it")  # fmt: skip
+                   "m wide", unit or "where the mesh ends, set 'outlet' to its width; where the mesh begins, put a "
+                                     "part 'reducer' before it")  # fmt: skip
         if np.any(np.abs(2 * reach / (diameters[end] if diameters else wide) - 1) > ROUNDNESS_TOLERANCE):
             refuse(fields[0], name, f"is not round and centred where it {which}: its wall is {reach.min():.4g} "
                    f"to {reach.max():.4g} m from the axis", "centre the mesh there, or make its end round")  # fmt: skip
@@ -106,6 +109,17 @@ def _check_scale(field: str, scale: float, diameter: float) -> None:
         unit = "0.001 for a file in millimetres" if diameter > limit.high else "1 for a file in metres"
         problem = f"makes the bore {diameter:.4g} m wide where it begins, but {limit.why}"
         refuse(field, scale, problem, f"use {option} {unit}")
+
+
+def scale_hint(field: str, scale: float, width: float, diameter: float) -> str:
+    """Return a hint with the scale that makes a bore fit a `diameter` [m]; empty if no unit of length does so.
+
+    `field` is the name of the scale, and `width` [m] is the width of the bore with the present `scale`.
+    """
+    option = "--wall-scale" if field == "wall_scale" else f"'{field}'"
+    fitting = [f"use {option} {factor:g} for a file in {unit}" for unit, factor in FILE_UNITS.items()
+               if factor != scale and abs(width / scale * factor / diameter - 1) <= DIAMETER_TOLERANCE]  # fmt: skip
+    return next(iter(fitting), "")
 
 
 def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore:

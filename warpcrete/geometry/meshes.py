@@ -50,6 +50,7 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
         refuse(field, type(source).__name__, "must be a trimesh.Trimesh or the path of a mesh file")
     else:
         path = check_file(source, field, hint="give the path of an STL, OBJ, PLY ... file")
+        _check_count(_stl_triangles(path), field, str(source))
         try:
             with np.errstate(all="ignore"):  # Ignore NumPy's warnings: invalid numbers are refused below.
                 mesh = trimesh.load_mesh(path)
@@ -79,13 +80,25 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
 
 def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> None:
     """Refuse a mesh with too many triangles, or with corners too far away for the accuracy of the computation."""
-    if len(mesh.faces) > MAX_FACES:
-        hint = "simplify the mesh in a CAD program or with trimesh.Trimesh.simplify_quadric_decimation"
-        refuse(field, name, f"has {len(mesh.faces)} triangles, but at most {MAX_FACES} are allowed", hint)
+    _check_count(len(mesh.faces), field, name)
     farthest = float(np.abs(mesh.vertices).max()) * scale
     if farthest > MAX_EXTENT:
         refuse(field, name, f"has a vertex {farthest:.3g} m from the origin, but at most {MAX_EXTENT:g} m are allowed",
                "check the vertices, and the scale of the mesh, which is 0.001 for a file in millimetres")  # fmt: skip
+
+
+def _check_count(count: int, field: str, name: str) -> None:
+    if count > MAX_FACES:
+        hint = "simplify the mesh in a CAD program or with trimesh.Trimesh.simplify_quadric_decimation"
+        refuse(field, name, f"has {count} triangles, but at most {MAX_FACES} are allowed", hint)
+
+
+def _stl_triangles(path: Path) -> int:
+    """Return the number of triangles in a binary STL file, without reading them; 0 for any other file."""
+    with path.open("rb") as file:
+        count = int.from_bytes(file.read(84)[80:], "little")
+    is_stl = path.suffix.lower() == ".stl" and path.stat().st_size == 84 + 50 * count
+    return count if is_stl else 0
 
 
 def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:

@@ -18,7 +18,7 @@ from ...core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import FACETS, Bores
 from ...geometry.lines import check_crossing, read_line
-from ...geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, Insert, bore_of
+from ...geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, Insert, bore_of, scale_hint
 from ...geometry.one_pipe import (
     IN_BENDS,
     check_return,
@@ -247,7 +247,9 @@ def _meshed(given: PartElements) -> PipeLine:
     wide, outlet = mesh.ends
     if abs(wide / given.diameter - 1) > DIAMETER_TOLERANCE:
         problem = f"differs from the diameter of the mesh at its start, {wide:.4g} m"
-        refuse("diameter", given.diameter, problem, "set 'diameter' to this value, or scale the mesh with 'wall_scale'")
+        unit = scale_hint("wall_scale", given.wall_scale, wide, given.diameter)
+        hint = unit or "set 'diameter' to this value, or scale the mesh with 'wall_scale'"
+        refuse("diameter", given.diameter, problem, hint)
     ends, _ = mesh.axis.at([0.0, mesh.axis.length])
     length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])
     level = float(mesh.axis.at(length)[1][0, 2])
