@@ -81,6 +81,8 @@ OTHER_NAMES = {
 }  # fmt: skip
 """Wrong names that users may write for entries of a mix, each mapped to the correct name, which the error message
 states. All are in lower case, with single spaces between words."""
+TOTALS = ("total", "sum", "total mass", "total weight", "batch weight", "total batch weight", "batch total")
+"""Names under which delivery notes state the sum of all ingredients."""
 GRAVEL = 2650.0
 """Density of coarse aggregate if the mix states none [kg/m3]."""
 SIMILAR_DENSITY = 0.15

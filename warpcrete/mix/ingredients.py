@@ -68,6 +68,8 @@ THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 UNKNOWN_MASS = 20.0
 """Mass in a cubic metre [kg/m3] up to which an ingredient with an unknown name is taken for an admixture and ignored. A
 heavier one may be powder, so that the volume of the paste cannot be calculated."""
+DENSEST = 8000.0
+"""Largest density of an ingredient [kg/m3]; steel has 7850."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients together, without air, in a cubic metre of concrete [m3/m3].
 The upper limit exceeds 1, because the assumed densities of ingredients differ from their true densities."""
@@ -315,12 +317,16 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
     A mix whose volume is impossible is refused, and one whose volume is unlikely causes a warning. `coarse` is the
     density of the coarse aggregate [kg/m3].
     """
-    filled, complete = 0.0, True
+    filled, complete, unknown = 0.0, True, 0.0
     for name, mass in parts.items():
         if (density_of(name) is None) or (density := _density(name, coarse)) is None:
-            complete = False
+            complete, unknown = False, unknown + mass
         else:
             filled += mass / density
+    if 0 <= POSSIBLE_VOLUMES[1] - filled < unknown / DENSEST:
+        problem = (f"contain {unknown:.4g} kg/m3 of unknown density, for which the other parts, with {filled:.3f} m3, "
+                   "leave no room in 1 m3")  # fmt: skip
+        refuse("mix parts", ", ".join(parts), problem, "check the masses, and leave out what is no ingredient")
     if air is not None:
         gap = 1 - filled - air
         words = f"fill {filled + air:.3f} m3 of 1 m3, with {100 * air:.3g} % of air"

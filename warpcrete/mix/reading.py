@@ -9,7 +9,7 @@ from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
 from ..core.inputs.amounts import LONGEST, amount, bare_number, is_amount, is_customary
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
-from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, MixEntries
+from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, TOTALS, MixEntries
 from .ingredients import (
     MIN_AMOUNT,
     check_volume,
@@ -223,6 +223,18 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
     return found
 
 
+def _check_ingredient(name: str, value: Any) -> None:
+    """Refuse an entry of a mix, or the sum of all ingredients, among the ingredients."""
+    plain = re.sub(r"[\W_]+", " ", name.casefold()).strip()
+    if plain in TOTALS:
+        refuse(
+            f"mix parts: {name}", value, "is a sum, not an ingredient", "leave it out; the program adds up the parts"
+        )
+    if (own := OTHER_NAMES.get(plain, plain)) in NUMBERS or own in ("sizes", "sieve", "shape"):
+        refuse(f"mix parts: {name}", value, f"is the entry {own!r} of a mix, not an ingredient",
+               f"write '{own}: ...' beside 'parts', not in it")  # fmt: skip
+
+
 def _check_single(name: str, value: Any) -> None:
     """Refuse a class of consistency, or a range, instead of one amount, with the amount in its middle."""
     text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
@@ -263,6 +275,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
     masses, load = {}, _number(given, "volume")
     for name, value in parts.items():
         with errors_located_at(parts, name):
+            _check_ingredient(str(name), value)
             if value is None and str(name)[:1].isdigit():
                 problem = "is an amount without a name; a comma inside braces separates entries"
                 refuse("mix parts", str(name), problem, "write 1420 lb/yd3 without a comma, or one ingredient per line")

@@ -40,7 +40,7 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
         *([_surprise(fit.surprise)] if fit.surprise is not None else []),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar{beside(line.customary, 'psi', fit.scatter)} "
         "about the fit; the largest deviation is "
-        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
+        f"{off[worst] / 1e5:+.2g} bar{beside(line.customary, 'psi', off[worst])} of {measured[worst] / 1e5:.4g} bar"
         f"{beside(line.customary, 'psi', measured[worst])} "
         f"(line {fit.taps[worst].row})",
         *([f"- {warning_of(fit, line.customary)}"] if fit.contradiction is not None else []),
