@@ -83,6 +83,9 @@ def test_the_outline_of_a_mould_has_no_line_on_its_axis():
     assert len(mould) == 2 and all(np.nanmax(line[:, 1]) == 300 for line in mould)
     for line in mould:
         assert not any((start[0] == 0) and (end[0] == 0) for start, end in pairwise(line))
+    # The panel ends where the vessel ends, although both of its axes have one scale.
+    FigureCanvasAgg(shape.figure).draw()
+    assert shape.get_xlim()[0] > -120 and shape.get_xlim()[1] < 120
 
 
 @pytest.mark.parametrize(("low", "high"), [(5, 290), (100, 290)])
@@ -91,12 +94,17 @@ def test_values_along_an_axis_of_the_validation_stand_apart(low, high):
     band = [SimpleNamespace(value=1e-3 * each, low=0.5e-3 * each, high=2e-3 * each) for each in (low, high)]
     cases = [
         SimpleNamespace(
-            case=SimpleNamespace(kind="slump"), measured=each.value, band=each, simulated=False, held_out=False
+            case=SimpleNamespace(kind="slump", basis="measured"),
+            measured=each.value,
+            band=each,
+            simulated=False,
+            held_out=False,
         )
         for each in band
     ]
     drawing = validation.draw(
-        cases + [SimpleNamespace(**vars(each) | {"case": SimpleNamespace(kind="spread")}) for each in cases]
+        cases
+        + [SimpleNamespace(**vars(each) | {"case": SimpleNamespace(kind="spread", basis="measured")}) for each in cases]
     )
     FigureCanvasAgg(drawing).draw()
     for axes in drawing.axes:

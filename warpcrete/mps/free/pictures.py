@@ -12,6 +12,9 @@ from ...core.units import number, shown
 from ...theory.vessels import heap_depth
 from .scene import FreeScene
 
+LENGTHS = "position or depth"
+"""Label of the axis for several curves of a test."""
+
 
 def plot_free(run: Run) -> Any:
     """Return a figure of the final shape with the mould's outline, and of spread and height over time."""
@@ -46,21 +49,24 @@ def plot_free(run: Run) -> Any:
                        label="heap, closed form" if side == 1 else None)  # fmt: skip
     shape.set(
         aspect="equal",
-        adjustable="datalim",
+        adjustable="box",
+        anchor="W",
         xlabel="distance from the axis [mm]" if scene.about_axis else "position [mm]",
         ylabel="height [mm]",
     )
-    legend_above(shape)
-    for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.about_axis else ())):
+    blocks = (*scene.blocks, *((scene.gate,) if scene.gate and not scene.about_axis else ()))
+    for number_of_block, block in enumerate(blocks):
         corners = 1e3 * np.clip(np.array([*block, block[0]]), 0.0, [scene.width, scene.height])
-        shape.fill(corners[:, 0], corners[:, 1], color="0.9", zorder=0)
+        shape.fill(corners[:, 0], corners[:, 1], color="0.9", zorder=0, label=None if number_of_block else "wall")
+    legend_above(shape)
     unit = "m"
     for (name, label), colour in zip(_curves(scene).items(), SERIES):
         unit = run.units[name]
         course.plot(run.series["time"], shown(unit)[0] * run.series[name], color=rgb(colour), label=label)
-    course.set(
-        xlabel="time [s]", ylabel=f"{textwrap.fill(' and '.join(_curves(scene).values()), 24)} [{shown(unit)[1]}]"
-    )
+    # The legend names the curves; more than two names would not fit beside the axis.
+    names = list(_curves(scene).values())
+    words = textwrap.fill(" and ".join(names), 24) if len(names) < 3 else LENGTHS
+    course.set(xlabel="time [s]", ylabel=f"{words} [{shown(unit)[1]}]")
     legend_above(course)
     open_frame(shape, course)
     return figure
