@@ -100,7 +100,7 @@ def test_the_time_left_leaves_out_compiling(clock, capsys):
         clock.time = 100.0 + elapsed
         bar(phase, fraction, {})
     lines = lines_of(capsys)
-    assert lines[0] == "compiling: 50 %, 00:20 elapsed, about 00:20 left"  # Twenty seconds passed before the first call.
+    assert lines[0] == "compiling: 50 %, 00:20 elapsed, about 00:20 left"  # 20 s passed before the first call
     assert [line.partition("%, ")[2] for line in lines if line.startswith("packing")] == [
         "00:10 elapsed, about 01:30 left", "00:20 elapsed, about 01:20 left", "00:30 elapsed, about 01:10 left",
         "00:40 elapsed, about 01:00 left",
