@@ -16,7 +16,14 @@ from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
-from warpcrete.studies.calibration.posterior import Posterior, confounded_pairs, posterior
+from warpcrete.studies.calibration.coarse import coarse_changes
+from warpcrete.studies.calibration.posterior import (
+    Emulator,
+    Posterior,
+    TwoLevelEmulator,
+    confounded_pairs,
+    posterior,
+)
 from warpcrete.studies.calibration.report import concrete_of
 from warpcrete.studies.calibration.starts import START_CANDIDATES, closed_form_start, closed_forms
 from warpcrete.studies.calibration.targets import FreeParameter, Target, Task, read_task, task_of
@@ -50,7 +57,10 @@ def one_pressure():
 
 
 def by_closed_form(scatter):
-    """Runs that come to what closed forms say of their scenes, times a scatter that goes by their seeds."""
+    """Return a stand-in for the runs of a round: values of closed forms, times a random scatter set by the seed.
+
+    Coarse runs are up to a tenth wrong, by an error that changes smoothly with the parameters.
+    """
 
     def run_round(found, scenes, place, trials, where, tell, part):
         for trial in trials:
@@ -60,7 +70,10 @@ def by_closed_form(scatter):
                 scene = module.scene(**found.task.parameters(target, values, module))
                 random = np.random.default_rng([trial.seed, zlib.crc32(target.label.encode())])
                 expected = method_of(scene).expected(scene).get(target.quantity, math.nan)
-                trial.values[target] = expected * (1 + scatter * random.normal())
+                wrong = (
+                    0.1 * math.sin(2 + 2 * sum(trial.units)) if trial.coarse and target.key in found.coarsened else 0
+                )
+                trial.values[target] = expected * (1 + scatter * random.normal()) * (1 + wrong)
         return True
 
     return run_round
@@ -75,6 +88,59 @@ def truth_of(raw, values):
         scene = module.scene(**here.parameters(target, values, module))
         found.append(method_of(scene).expected(scene)[target.quantity])
     return found
+
+
+def test_standard_tests_as_flows_have_coarse_runs_and_other_scenes_have_none():
+    """The cells of a coarse run are twice as wide, or 1.5 times where the scene refuses that."""
+    slump = {"scene": "slump", "parameters": {**SLUMP["parameters"], "yield_stress": 60.0}}
+    raw = task(("viscosity",), asked(slump, "spread", 0.5), asked(tube(1e-3, free=("viscosity",)), "pressure", 9e3))
+    raw["targets"][1]["parameters"] |= {"slip_viscosity": 900.0, "slip_yield": 10.0}
+    here = task_of(raw, modules())
+    assert coarse_changes(here, modules()) == {here.targets[0].key: {"spacing": 2 * scenes.slump().spacing}}
+    for spacing, wide in ((0.012, 0.024), (0.014, 0.021), (0.02, None)):
+        box = {"scene": "lbox", "parameters": {**slump["parameters"], "spacing": spacing}}
+        here = task_of(task(("viscosity",), asked(box, "passing_ratio", 0.8)), modules())
+        found = coarse_changes(here, modules()).get(here.targets[0].key)
+        assert found == (None if wide is None else {"spacing": pytest.approx(wide)})
+    slump["parameters"]["viscosity"] = 30.0
+    own = task((), asked(slump, "spread", 0.5)) | {"vary": {"spacing": [0.005, 0.01]}}
+    assert coarse_changes(task_of(own, modules()), modules()) == {}
+
+
+def test_few_full_runs_correct_an_emulator_that_coarse_runs_have_taught():
+    """The full result is that of coarse runs plus a plane. Four full runs without coarse ones know much less."""
+
+    def coarse(x):
+        return np.exp(x[:, 0]) + 0.5 * x[:, 0] * x[:, 1] ** 2
+
+    def full(x):
+        return coarse(x) + 0.3 - 0.2 * x[:, 0] + 0.1 * x[:, 1]
+
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        many, few, other = random.random((16, 2)), random.random((4, 2)), random.random((200, 2))
+        both = TwoLevelEmulator(Emulator(many, coarse(many), 1e-3), few, full(few), 1e-3, np.zeros(4))
+        mean, deviation = both(other)
+        error = np.abs(mean - full(other))
+        assert np.mean(error < 2 * deviation + 1e-3) > 0.95
+        alone = Emulator(few, full(few), 1e-3)(other)[0] - full(other)
+        assert np.sqrt(np.mean(alone**2)) > 10 * np.sqrt(np.mean(error**2))
+
+
+def test_coarse_trials_come_first_and_do_not_shift_the_answer(tmp_path, monkeypatch):
+    """Their errors of a tenth are five times the uncertainty of the target, and the answer does not have them."""
+    monkeypatch.setattr(SEARCH, "run_round", by_closed_form(0.0))
+    raw = task(("yield_stress",), asked(SLUMP, "spread", 1.0, "2%"))
+    raw["targets"][0]["parameters"] = {**SLUMP["parameters"], "viscosity": 30.0}
+    (raw["targets"][0]["value"],) = truth_of(raw, {"yield_stress": 70.0})
+    found = calibrate(raw, out=tmp_path / "out", device="cpu", trials=20)
+    assert [trial.coarse for trial in found.trials[:12]] == [True] * 12 and len(found.coarse) == 12
+    assert found.settled and len(found.searched) <= 12 and len(found.verifying) == 1
+    low, high = found.posterior.interval(0)
+    assert low < 70.0 < high and found.best["yield_stress"] == pytest.approx(70.0, rel=0.03)
+    assert "coarse trials before them: 12" in (tmp_path / "out" / "calibration.md").read_text(encoding="utf-8")
+    again = resume_calibration(tmp_path / "out", modules())
+    assert len(again.coarse) == 12 and again.best == found.best
 
 
 @pytest.mark.slow

@@ -72,9 +72,11 @@ def report(found: Calibration) -> None:
         click.echo("\n".join([*parameter_table(found), "", *target_table(found), ""]))
         for said in found.findings:
             click.echo(f"note: {said}")
-    proofs = len(found.trials) - len(found.searched)
-    verified = f" and {proofs} runs that verify the answer" if proofs else ""
-    click.echo(f"\n{len(found.searched)} trials{verified} in {found.took:.0f} s; calibration folder: {found.folder}")
+    verified = f" and {len(found.verifying)} runs that verify the answer" if found.verifying else ""
+    coarse = f" after {len(found.coarse)} trials with wide cells" if found.coarse else ""
+    click.echo(
+        f"\n{len(found.searched)} trials{coarse}{verified} in {found.took:.0f} s; calibration folder: {found.folder}"
+    )
     if not found.finished:
         click.echo(f"continue with: warpcrete {trust_option(found.record)}calibrate --resume {found.folder}")
         raise SystemExit(INTERRUPTED)

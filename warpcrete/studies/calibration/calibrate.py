@@ -1,7 +1,8 @@
 """Calibration: find the parameters of a concrete that reproduce measured values, in rounds of simulation runs.
 
-The parameter sets of the first round fill the parameter ranges evenly. In each further round, most parameter sets are
-samples of the posterior of all runs so far, and the others are proposed by Optuna's tree-structured Parzen estimator.
+The parameter sets of the first round fill the parameter ranges evenly. In this round, flows of standard tests have wide
+cells (coarse trials), if the scenes accept them. In each further round, most parameter sets are samples of the
+posterior of all runs so far, and the others are proposed by Optuna's tree-structured Parzen estimator.
 Every run has its own random seed, and the scatter between seeds enters the posterior as noise. Finally, verification
 runs simulate the likeliest parameters with fresh seeds.
 """
@@ -15,27 +16,30 @@ from typing import Any
 import numpy as np
 
 from ...core.device.device import find_device
-from ...core.errors import RunFolderError, SceneError, WarpcreteError, callback, refuse, whole
+from ...core.errors import RunFolderError, WarpcreteError, callback, refuse, whole
 from ...core.extras import needs_extra
 from ...core.inputs.origin import check_files, files_read
 from ...core.run.files import check_new, output_folder, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
 from ...record.checks import failed_checks
 from ...scenes import modules
-from ..cases import MAX_CASES, Case, is_random
+from ..cases import MAX_CASES, Case
 from ..cluster import check_scheduler
 from ..study import resume_study, run_listed
 from ..study_result import Study
 from .calibration import Calibration, Trial
-from .posterior import posterior
+from .coarse import coarse_changes
+from .posterior import CoarseRuns, posterior
 from .report import write
-from .starts import closed_form_start, closed_forms
+from .rounds import MIN_VALUES, next_round, verification_runs
+from .starts import closed_forms
 from .targets import Target, Task, found_in, read_task, task_of
 
 RECORD = "calibration.json"
 Progress = Callable[[str, float, dict[str, Any]], None]
-MIN_VALUES = 3
-"""Minimum number of runs that must yield a target's quantity before a posterior is computed."""
+COARSE_ERROR = 0.1
+"""Standard deviation of the error of coarse runs, as a fraction of the measured value. It only widens the region in
+which the first full trials lie."""
 SETTLED_ERROR_RATIO = 0.5
 """Largest ratio of the Gaussian-process emulator's standard error to the uncertainty of a target (a standard deviation)
 at which the emulator counts as accurate enough. The search ends when this holds for all targets and the posterior no
@@ -161,6 +165,8 @@ def _continue(
     record = _record(folder)
     task = task_of(record["targets"], modules)
     calibration = Calibration(folder, task, record)
+    if not record["rounds"] or record["rounds"][0].get("coarse"):
+        calibration.coarsened = coarse_changes(task, modules)
     where = dict(processes=processes, scheduler=scheduler, workers=workers)
     try:
         _search(calibration, modules, where, progress or (lambda phase, fraction, figures: None))
@@ -186,42 +192,31 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
             if rounds and rounds[-1]["proof"] and (calibration.settled or left <= 0):
                 calibration.finished = True
                 return
-            proposed = _next_round(calibration, left, settings, modules)
+            proposed = next_round(calibration, left, settings, modules)
             if proposed is None:
                 break
             rounds.append(proposed)
             write_json(calibration.folder / RECORD, calibration.record)
         each = rounds[place]
-        trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"])
+        trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"],
+                        each.get("coarse", False))
                   for k, units in enumerate(each["units"])]  # fmt: skip
         # Compute the progress of the whole calibration. The total is the number of permitted trials plus the number of
         # verification runs. If the search needs fewer trials, the verification runs count as the whole remaining work.
-        whole = most + _verification_runs(calibration, modules)
-        begun = len(calibration.searched) / whole
+        coarse = sum(len(found["units"]) for found in rounds if found.get("coarse"))
+        whole = coarse + most + verification_runs(calibration, modules)
+        begun = (len(calibration.trials) - len(calibration.verifying)) / whole
         last = each["proof"] and place == len(rounds) - 1
         part = (begun, 1 - begun if last else len(trials) / whole)
         if not run_round(calibration, modules, place, trials, where, tell, part):
             return
         calibration.trials += trials
         place += 1
-        if not each["proof"]:
+        if each.get("coarse"):
+            _learn_from_coarse_trials(calibration, settings["seed"] + place)
+        elif not each["proof"]:
             _update_posterior(calibration, settings["seed"] + place)
     calibration.finished = settings["repeat"] == 0
-
-
-def _verification_runs(calibration: Calibration, modules: Mapping[str, Any]) -> int:
-    """Return how often the likeliest parameters are simulated: at most once if no scene depends on a random seed."""
-    task, repeat = calibration.task, calibration.record["settings"]["repeat"]
-    values = task.values([0.5] * len(task.free))
-    for target, *_ in task.groups:
-        module = modules[target.scene]
-        try:
-            if is_random(module.scene(**task.parameters(target, values, module))):
-                return repeat
-        except SceneError:
-            # The middle of the ranges may be no valid scene; nothing is known then about the scene's randomness.
-            return repeat
-    return min(repeat, 1)
 
 
 def run_round(
@@ -278,6 +273,8 @@ def _run_group(
     for trial in trials:
         values = calibration.task.values(trial.units)
         parameters = calibration.task.parameters(target, values, module)
+        if trial.coarse:
+            parameters = {**parameters, **calibration.coarsened.get(target.key, {})}
         if "seed" in module.scene.parameters.__dataclass_fields__:
             parameters = {"seed": trial.seed, **parameters}
         shown = {name: value for name, value in parameters.items() if name in values}
@@ -308,6 +305,20 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
                 trial.failure = trial.failure or f"has no {target.label} in its result"
 
 
+def _results(calibration: Calibration, trials: Sequence[Trial]) -> tuple[np.ndarray, dict[Target, np.ndarray]]:
+    """Return the points of some trials, shape (n, free), and their values by target, shape (n,), NaN where missing."""
+    values = {target: np.array([trial.values.get(target, math.nan) for trial in trials])
+              for target in calibration.task.targets}  # fmt: skip
+    return np.array([trial.units for trial in trials]), values
+
+
+def _learn_from_coarse_trials(calibration: Calibration, seed: int) -> None:
+    """Compute the posterior that proposes the first full trials, if enough coarse trials have yielded every target."""
+    points, values = _results(calibration, calibration.coarse)
+    if all(np.isfinite(values[target]).sum() >= MIN_VALUES for target in calibration.task.fitted):
+        calibration.coarse_posterior = posterior(calibration.task, points, values, seed, model_error=COARSE_ERROR)
+
+
 def _update_posterior(calibration: Calibration, seed: int) -> None:
     """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
 
@@ -316,9 +327,7 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
     `MIN_VALUES` runs have yielded it when no trials are left.
     """
     searched = calibration.searched
-    points = np.array([trial.units for trial in searched])
-    values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
-              for target in calibration.task.targets}  # fmt: skip
+    points, values = _results(calibration, searched)
     for target in calibration.task.fitted:
         count = int(np.isfinite(values[target]).sum())
         why = next((trial.failure for trial in searched if trial.failure), "the scene does not measure it there")
@@ -336,99 +345,14 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
             )
     before = calibration.posterior
     doubtful = {target: np.array([target in trial.doubtful for trial in searched]) for target in values}
-    calibration.posterior = now = posterior(calibration.task, points, values, seed, doubtful)
+    learned: dict[str, Any] = {}
+    if calibration.coarse:
+        coarsened = [target for target in values if target.key in calibration.coarsened]
+        learned["coarse"] = CoarseRuns(*_results(calibration, calibration.coarse), coarsened)
+    calibration.posterior = now = posterior(calibration.task, points, values, seed, doubtful, **learned)
     emulator_error_ratio = max(now.emulator_error_ratio(target) for target in calibration.task.fitted)
     moved = math.inf
     if before is not None:
         spread = np.maximum(now.samples.std(0), 1e-3)
         moved = float(np.max(np.abs(now.samples.mean(0) - before.samples.mean(0)) / spread))
     calibration.settled = emulator_error_ratio < SETTLED_ERROR_RATIO and moved < SETTLED_SHIFT
-
-
-def _next_round(
-    calibration: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
-) -> dict[str, Any] | None:
-    """Return the next round as a mapping with the entries `units`, `seeds` and `proof`, or None if no round is left.
-
-    `units` holds the parameter sets, each parameter scaled to 0 to 1 over its range, and `seeds` one seed for each set.
-    `proof` is True if the round verifies the likeliest parameters. `left` is the number of trials that may still run.
-    """
-    begun = settings["seed"] + len(calibration.trials)
-    if calibration.posterior is not None and (calibration.settled or left <= 0):
-        if settings["repeat"] == 0:
-            return None
-        units = [calibration.posterior.best.tolist()] * _verification_runs(calibration, modules)
-        return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": True}
-    if left <= 0:
-        return None
-    count = min(settings["batch"], left)
-    if calibration.posterior is None:
-        units = _first_points(
-            calibration, min(max(count, 2 * count - len(calibration.trials)), left), settings, modules
-        )
-    else:
-        units = _next_points(calibration, count, settings["seed"] + len(calibration.trials))
-    return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": False}
-
-
-def _first_points(
-    calibration: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
-) -> list[list[float]]:
-    """Return the parameter sets of the first round, with each parameter scaled to 0 to 1 over its range.
-
-    The first set is an estimate from closed forms, if there are any. The others form a Sobol sequence, which fills the
-    parameter ranges evenly.
-    """
-    from scipy.stats import qmc
-
-    free = len(calibration.task.free)
-    sequence = qmc.Sobol(free, seed=settings["seed"])
-    skipped = len(calibration.trials)
-    known = [] if skipped else closed_form_start(calibration.task, modules)
-    many = sequence.random_base2(max(1, math.ceil(math.log2(skipped + count))))
-    return (known + many[skipped:].tolist())[:count]
-
-
-def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Return the parameter sets of the next round: a quarter proposed by Optuna, the others taken from the posterior.
-
-    Each parameter is scaled to 0 to 1 over its range. The first set from the posterior is its maximum. Every further
-    set is the posterior sample that is farthest from all sets so far; distances are scaled by the posterior's standard
-    deviations.
-    """
-    assert calibration.posterior is not None
-    random = np.random.default_rng(seed)
-    optuna_points = _optuna_points(calibration, count // 4, seed)
-    taken = np.array([trial.units for trial in calibration.searched] + optuna_points)
-    drawn = random.choice(calibration.posterior.samples, min(256, len(calibration.posterior.samples)), replace=False)
-    chosen: list[list[float]] = [calibration.posterior.best.tolist()] if count - len(optuna_points) > 1 else []
-    width = np.maximum(calibration.posterior.samples.std(0), 1e-2)
-    while len(chosen) < count - len(optuna_points):
-        others = np.concatenate([taken, np.array(chosen).reshape(-1, taken.shape[1])])
-        distance = np.min((((drawn[:, None] - others[None]) / width) ** 2).sum(-1), axis=1)
-        chosen.append(drawn[np.argmax(distance)].tolist())
-    return optuna_points + chosen
-
-
-def _optuna_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Return `count` parameter sets that the optimiser Optuna proposes, each parameter scaled to 0 to 1 over its range.
-
-    Optuna receives all trials so far, and treats failed trials as infeasible.
-    """
-    import optuna
-
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    names = [free.name for free in calibration.task.free]
-    ranges: Any = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names}
-    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=0))
-    for trial in calibration.searched:
-        off = [(trial.values[t] - t.value) / t.uncertainty for t in calibration.task.fitted if t in trial.values]
-        sound = len(off) == len(calibration.task.fitted)
-        study.add_trial(
-            optuna.trial.create_trial(
-                params=dict(zip(names, trial.units)), distributions=ranges,
-                value=float(np.sum(np.square(off))) if sound else 1e6, constraints={"failed": float(not sound)},
-            )
-        )  # fmt: skip
-    asked = [study.ask(ranges) for _ in range(count)]
-    return [[trial.params[name] for name in names] for trial in asked]

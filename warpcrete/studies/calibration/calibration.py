@@ -1,5 +1,6 @@
 """Results of a calibration: its trials, the parameters found, and the questions that the data leave open."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ class Trial:
     seed: int
     proof: bool = False
     """True if this run only verifies the likeliest parameters, so that its results do not enter the fit."""
+    coarse: bool = False
+    """True if the flows of this trial were simulated with wide cells."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
     """Reason why this trial lacks the value of a target that is used in the fit. Empty if no such value is missing."""
@@ -46,6 +49,10 @@ class Calibration:
     record: dict[str, Any]
     trials: list[Trial] = field(default_factory=list)
     posterior: Posterior | None = None
+    coarsened: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Any])
+    """Parameters that are changed in coarse trials, by the key of the group of targets; empty without such trials."""
+    coarse_posterior: Posterior | None = None
+    """Posterior by coarse trials alone, which only proposes the parameters of the first full trials."""
     settled: bool = False
     """True if further runs would no longer change the answer."""
     finished: bool = False
@@ -70,15 +77,30 @@ class Calibration:
 
     @property
     def searched(self) -> list[Trial]:
-        """Trials that search for the parameters; the runs that verify the answer are left out."""
-        return [trial for trial in self.trials if not trial.proof]
+        """Trials that search for the parameters; coarse trials and the runs that verify the answer are left out."""
+        return [trial for trial in self.trials if not (trial.proof or trial.coarse)]
+
+    @property
+    def guide(self) -> Posterior | None:
+        """Posterior that proposes the parameters of the next round; None before there is one."""
+        return self.posterior or self.coarse_posterior
+
+    @property
+    def coarse(self) -> list[Trial]:
+        """Trials whose flows were simulated with wide cells."""
+        return [trial for trial in self.trials if trial.coarse]
+
+    @property
+    def verifying(self) -> list[Trial]:
+        """Trials that verify the likeliest parameters."""
+        return [trial for trial in self.trials if trial.proof]
 
     def verification_values(self, target: Target) -> list[float]:
         """Return the values of a target in those verification runs that used the current likeliest parameters.
 
         Verification runs of earlier likeliest parameters are left out.
         """
-        last = [trial for trial in self.trials if trial.proof and trial.units == self.trials[-1].units]
+        last = [trial for trial in self.verifying if trial.units == self.trials[-1].units]
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
@@ -132,7 +154,7 @@ class Calibration:
             texts.append(f"runs of {runs} of {len(self.searched)} trials fail checks of their scenes "
                         f"({', '.join(checks)}); the fit gives their values a further uncertainty, as large as the "
                         "target's")  # fmt: skip
-        checks = sorted({check for trial in self.trials if trial.proof for check in trial.suspect})
+        checks = sorted({check for trial in self.verifying for check in trial.suspect})
         if checks:
             texts.append(f"runs of the most likely parameters fail checks of their scenes ({', '.join(checks)}), so do "
                         "not rely on this answer; use a smaller 'spacing' or a longer 'duration' in the targets' "

@@ -11,7 +11,7 @@ O'Hagan 2001, without their term for model error). An ensemble of walkers sample
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,12 +74,41 @@ class Emulator:
         return self.middle + self.scale * mean, np.sqrt(variance)
 
 
+class TwoLevelEmulator:
+    """Emulator of a quantity that coarse runs measure as well: their emulator, plus an emulator of the difference.
+
+    The method is that of Kennedy & O'Hagan (Biometrika 87 (2000) 1), with the factor 1 between the two levels. The
+    difference of full and coarse runs is small and smooth, so few full runs determine it.
+    """
+
+    def __init__(
+        self, coarse: Emulator, points: np.ndarray, values: np.ndarray, least: float, extra: Any = 0.0
+    ) -> None:
+        """Fit the difference between the `values` of full runs and the predictions of the emulator `coarse`.
+
+        The other parameters are those of :class:`Emulator`.
+        """
+        self.coarse = coarse
+        self.difference = Emulator(points, values - coarse(points)[0], least, extra)
+        self.scatter = self.difference.scatter
+        """Standard deviation of the results of single runs about the mean over many seeds, in the unit of the
+        quantity."""
+
+    def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the predicted mean over many seeds, and the standard deviation of this prediction, both of shape (n,).
+
+        `points` holds the free parameters, each scaled to 0 to 1 over its range, shape (n, free).
+        """
+        (low, one), (change, other) = self.coarse(points), self.difference(points)
+        return low + change, np.hypot(one, other)
+
+
 @dataclass
 class Posterior:
     """Posterior of the free parameters, given the runs so far."""
 
     task: Task
-    emulators: dict[Target, Emulator]
+    emulators: dict[Target, Emulator | TwoLevelEmulator]
     """Gaussian processes that predict the quantities of the targets, by target. Every fitted target has one. A target
     that is held out from the fit has one if at least three runs yielded its value."""
     samples: np.ndarray
@@ -130,28 +159,42 @@ class Posterior:
         return np.atleast_2d(np.corrcoef(self.samples.T))
 
 
+@dataclass(frozen=True)
+class CoarseRuns:
+    """Results of the coarse runs of a calibration."""
+
+    points: np.ndarray
+    """Free parameters of the runs, each scaled to 0 to 1 over its range, shape (n, free)."""
+    values: Mapping[Target, np.ndarray]
+    """Results for each target, shape (n,), with NaN for failed runs."""
+    coarsened: Collection[Target]
+    """Targets whose scene had wider cells in these runs. For all other targets, these runs equal full runs."""
+
+
 def posterior(
-    task: Task, points: np.ndarray, values: dict[Target, np.ndarray], seed: int,
-    doubtful: Mapping[Target, np.ndarray] | None = None,
+    task: Task, points: np.ndarray, values: Mapping[Target, np.ndarray], seed: int,
+    doubtful: Mapping[Target, np.ndarray] | None = None, coarse: CoarseRuns | None = None, model_error: float = 0.0,
 ) -> Posterior:  # fmt: skip
     """Compute the posterior from runs at `points`, shape (n, free).
 
     The coordinates of a point are the free parameters, each scaled to 0 to 1 over its range. `values` holds the results
     of these runs for each target, shape (n,), with NaN for failed runs. Every fitted target needs at least three finite
     values. `seed` makes the sampling reproducible. `doubtful` states by target which values come from runs that failed
-    checks, shape (n,). The standard deviation of these values is at least the uncertainty of the target.
+    checks, shape (n,). The standard deviation of these values is at least the uncertainty of the target. The results of
+    `coarse` runs, if there are any, help to predict those of full runs. `model_error` is the standard deviation of a
+    further error of all predictions, as a fraction of the measured value.
     """
     import emcee
     from scipy.optimize import minimize
     from threadpoolctl import threadpool_limits
 
-    emulators = {}
+    emulators: dict[Target, Emulator | TwoLevelEmulator] = {}
     for target, found in values.items():
         there = np.isfinite(found)
         if target.held_out and there.sum() < 3:
             continue
-        extra = target.uncertainty * doubtful[target][there] if doubtful else 0.0
-        emulators[target] = Emulator(points[there], found[there], 1e-3 * target.uncertainty, extra)
+        extra = target.uncertainty * doubtful[target][there] if doubtful else np.zeros(int(there.sum()))
+        emulators[target] = _emulator(target, points[there], found[there], extra, coarse)
     sound = np.all([np.isfinite(values[target]) for target in task.fitted], axis=0)
 
     def likelihood(at: np.ndarray) -> np.ndarray:
@@ -160,7 +203,7 @@ def posterior(
         total = _log_success(held, points, sound)
         for target in task.fitted:
             mean, deviation = emulators[target](held)
-            variance = target.uncertainty**2 + deviation**2
+            variance = target.uncertainty**2 + deviation**2 + (model_error * target.value) ** 2
             total -= 0.5 * ((target.value - mean) ** 2 / variance + np.log(variance / target.uncertainty**2))
         return np.where(inside, total, -np.inf)
 
@@ -184,6 +227,26 @@ def posterior(
                        bounds=[(0.0, 1.0)] * free)  # fmt: skip
     best = refined.x if refined.fun <= -chances.max() else start
     return Posterior(task, emulators, samples, np.clip(best, 0.0, 1.0))
+
+
+def _emulator(
+    target: Target, points: np.ndarray, values: np.ndarray, extra: np.ndarray, coarse: CoarseRuns | None
+) -> Emulator | TwoLevelEmulator:
+    """Return the emulator of a target's quantity, which learns from coarse runs as well, if there are any.
+
+    `points`, `values` and `extra` are those of :class:`Emulator`, for the full runs.
+    """
+    least = 1e-3 * target.uncertainty
+    if coarse is None:
+        return Emulator(points, values, least, extra)
+    there = np.isfinite(coarse.values[target])
+    others, found = coarse.points[there], coarse.values[target][there]
+    if target not in coarse.coarsened:
+        together = np.concatenate([extra, np.zeros(len(found))])
+        return Emulator(np.concatenate([points, others]), np.concatenate([values, found]), least, together)
+    if len(found) < 3:
+        return Emulator(points, values, least, extra)
+    return TwoLevelEmulator(Emulator(others, found, least), points, values, least, extra)
 
 
 def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:

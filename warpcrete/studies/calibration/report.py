@@ -38,10 +38,8 @@ def report(found: Calibration) -> str:
     if found.posterior is None:
         return "\n".join([*lines, f"No answer yet: {len(found.trials)} trials done."])
     lines += [*parameter_table(found), "", *target_table(found)]
-    lines += [
-        "",
-        f"Trials: {len(found.searched)}; runs that verify the answer: {len(found.trials) - len(found.searched)}.",
-    ]
+    coarse = f"; coarse trials before them: {len(found.coarse)}" if found.coarse else ""
+    lines += ["", f"Trials: {len(found.searched)}{coarse}; runs that verify the answer: {len(found.verifying)}."]
     lines += ["", *(f"- {said[0].upper()}{said[1:]}." for said in found.findings)]
     return "\n".join(lines).rstrip()
 

@@ -1,0 +1,48 @@
+"""Coarse runs of a calibration: simulations with wide cells, which teach the emulator at a small part of the cost."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ...core.errors import SceneError
+from .targets import Target, Task
+
+COARSENING = (2.0, 1.5)
+"""Ratios of the cell width in a coarse run to that in a full run. The first ratio that the scene accepts is used. The
+run time is about proportional to the cell width to the power -4."""
+
+
+def coarse_changes(task: Task, modules: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the changed parameters of the coarse runs, by the key of each group of targets that has coarse runs.
+
+    Only standard tests that are simulated as flows on a grid have coarse runs, because other scenes of a calibration
+    take seconds, or have no cells. A group that fixes or varies the cell width itself, and whose scene refuses wider
+    cells, has none either.
+    """
+    found = {}
+    for target, *_ in task.groups:
+        changes = _changes(task, target, modules)
+        if changes:
+            found[target.key] = changes
+    return found
+
+
+def _changes(task: Task, target: Target, modules: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changed parameters of the coarse runs of a target's scene; empty if it has no coarse runs."""
+    module = modules[target.scene]
+    if any(free.name == "spacing" for free in task.free):
+        return {}
+    points = [[unit] * len(task.free) for unit in (0.5, 0.0, 1.0)]
+    given = [task.parameters(target, task.values(point), module) for point in points]
+    scene = module.scene(**given[0])
+    spacing = getattr(scene, "spacing", None)
+    if spacing is None or getattr(scene, "test", None) is None:
+        return {}
+    for ratio in COARSENING:
+        changes = {"spacing": ratio * spacing}
+        try:
+            for parameters in given:
+                module.scene(**{**parameters, **changes})
+        except SceneError:
+            continue
+        return changes
+    return {}
