@@ -97,7 +97,7 @@ def test_standard_tests_as_flows_have_coarse_runs_and_other_scenes_have_none():
     raw["targets"][1]["parameters"] |= {"slip_viscosity": 900.0, "slip_yield": 10.0}
     here = task_of(raw, modules())
     assert coarse_changes(here, modules()) == {here.targets[0].key: {"spacing": 2 * scenes.slump().spacing}}
-    for spacing, wide in ((0.012, 0.024), (0.014, 0.021), (0.02, None)):
+    for spacing, wide in ((0.012, 0.024), (0.014, 0.021), (0.02, None), (0.016, 0.024)):
         box = {"scene": "lbox", "parameters": {**slump["parameters"], "spacing": spacing}}
         here = task_of(task(("viscosity",), asked(box, "passing_ratio", 0.8)), modules())
         found = coarse_changes(here, modules()).get(here.targets[0].key)
