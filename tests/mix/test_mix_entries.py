@@ -197,6 +197,8 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
          "contain 1000 kg/m3 of unknown density, for which the other parts, with 0.959 m3, leave no room in 1 m3"),
         ({"parts": {"cement": 340, "air": "2 %"}}, "is the entry 'air' of a mix, not an ingredient; write 'air: ...'"),
         ({"parts": {"cement": 340, "w/c": 0.5}}, "is the entry 'water_binder' of a mix, not an ingredient"),
+        ({"parts": {"OPC": 340, "water": 170, "FA": 800, "gravel": 1000}, "slump": "5 in"},
+         "mix parts = 'FA': is an abbreviation that is not known; write the name"),
         ({"parts": {"cement": 340, "slag": "30 %"}}, "is a share, but must count per volume"),
         ({"Sand moisture": "4 %"}, "mix key = 'Sand moisture': is not an entry of a mix; subtract the surface"),
         ({"slump flow": "26 in"}, "mix key = 'slump flow': is the entry 'spread' of a mix; write 'spread: 26 in'"),

@@ -301,6 +301,9 @@ def density_of(name: str) -> float | None:
     """
     if (found := _density(name, DENSITIES["gravel"])) is not None or any(word in VARIABLE for word in _words(name)):
         return found
+    if re.fullmatch(r"[A-Za-z]{1,2}", name.strip()):
+        hint = "write the name, such as 'cement', 'fly ash', 'water', 'sand' or 'gravel'"
+        refuse("mix parts", name, "is an abbreviation that is not known", hint)
     meant = suggested(name, DENSITIES)
     if meant:
         refuse("mix parts", name, "is not a known ingredient", meant)
