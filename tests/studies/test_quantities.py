@@ -342,15 +342,15 @@ def test_a_loss_without_a_ratio_is_reported():
 def test_each_method_says_when_its_runs_have_a_quantity():
     """Blocked pipes of discrete elements and blocked parts of suspensions share names; flows know neither."""
     for scene, text in (
-        (PIPE, "it only if the pipe was blocked"),
-        (scenes.part(**scenes.suspended("part")), "it only if the part was blocked"),
+        (PIPE, "this quantity only if the pipe was blocked"),
+        (scenes.part(**scenes.suspended("part")), "this quantity only if the part was blocked"),
         (scenes.slump(), "the run has no quantity 'blocked_at'; it has steps"),
         (SimpleNamespace(name="pipe"), "the run has no quantity 'blocked_at'; it has steps"),  # the methods disagree
     ):
         with pytest.raises(KeyError, match=text):
             Run(scene, {}, {}, {"steps": 3}, True)["blocked_at"]
     for scene in (scenes.slump(), scenes.slump_dem(), SimpleNamespace(name="slump")):
-        with pytest.raises(KeyError, match="it only if the spread grows to 500 mm before the run ends"):
+        with pytest.raises(KeyError, match="this quantity only if the spread grows to 500 mm before the run ends"):
             Run(scene, {}, {}, {"steps": 3}, True)["t500"]
     with pytest.raises(KeyError, match="has no quantity 't500'; it has steps"):
         Run(scenes.tube(), {}, {}, {"steps": 3}, True)["t500"]
