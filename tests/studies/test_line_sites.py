@@ -103,7 +103,7 @@ def test_without_a_pump_the_answer_says_which_pump_restarts_the_line(tmp_path):
     found, fast = (replace(each, line=replace(each.line, pump=None)) for each in (found, fast))
     said = next(each for each in lines_of(found) if wanted[0] in each)
     assert f", and {fast.restart(fast.flow).high / 1e5:.3g} bar at 1.7 Pa/s, the highest published rate" in said
-    assert f"{wanted[1]}; state the pump" in "\n".join(lines_of(fast))
+    assert wanted[1] in "\n".join(lines_of(fast))
 
 
 @pytest.mark.parametrize(
