@@ -113,6 +113,16 @@ LINES = [  # contents, and what is said: "" for any one line, =TEXT for an answe
     (("k" * 2000 + ": 1\n"), ""), ("&a " * 20 + "b: 1", ""), ('"\\ud800": 1\n', ""), ("a: '" + "x" * 150_000 + "'\n", "key"),
     ("!!set {a, b}\n", ""), ("!!omap [a: 1]\n", ""), ("!!binary aGk=\n", ""), ("@a: 1\n", "not valid YAML"), ("`: 1\n", "not valid YAML"),
     (SITE.replace("parts", "part\u0455"), ""), (SITE.replace("straight", "str\u0430ight"), "must be one of"),
+    (SITE.encode("utf-16"), "UTF-8"), (SITE.encode("utf-32"), ""), (SITE.replace("\n", " \t\n"), "=" + PLAIN),
+    (SITE.replace("flow: 20", "flow: yes"), "flow"), (SITE.replace("20 m3/h", "1:30"), "flow"), (SITE.replace("20 m3/h", "2024-01-01"), "flow"),
+    (SITE.replace("20 m3/h", "|\n  20 m3/h"), "=" + PLAIN), (SITE.replace("20 m3/h", ">-\n  20\n  m3/h"), "=" + PLAIN),
+    (SITE.replace("20 m3/h", "20 m3/h # about"), "=" + PLAIN), (SITE.replace("20 m3/h", "20 m3/h#about"), "flow"),
+    (SITE.replace("20 m3/h", "*undefined"), "not valid YAML"), (SITE.replace("20 m3/h", "!!float 20"), "tag"), (SITE + "...\n" + SITE, "not valid YAML"),
+    (SITE.replace("  - straight", "- straight"), "=" + PLAIN), (SITE.replace("straight: 10 m", "straight:\n      length: 10 m"), "=" + PLAIN),
+    (SITE.replace("straight: 10 m", "straight:10 m"), ""), (SITE.replace("  - straight", "  \u2013 straight"), ""), (SITE.replace("flow: 20", "flow = 20"), ""),
+    ("a: &a [1, 2]\n" + "".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 8)}]\n" for a, b in zip("abcdef", "bcdefg")), ""), ("a: &a {b: *a}\n", "itself"),
+    (SITE.replace("125 mm", "0,125"), "=" + PLAIN), (SITE.replace("125 mm", "125e-3"), "=" + PLAIN), (SITE.replace("125 mm", "125 Mm"), ""),
+    (SITE.replace("125 mm", "\u00bd ft"), ""), (SITE.replace("125 mm", "1.25d-1"), ""), ('{"diameter": "125 mm", "flow": "20 m3/h", "concrete": "no1", "parts": [{"straight": "10 m"}]}', "=" + PLAIN),
 ]  # fmt: skip
 MIXES = [
     (MIX.replace("2300", "2.3"), "mix density"), (MIX.replace("2300", "2300 g/l"), "mix density"),
@@ -170,6 +180,7 @@ CONCRETES = [
     ("base: no1\nflow: {viscosity: 1e400}\n", "too large"), ("base: no1\nflow: {1: 2}\n", ""), ("base: /\n", ""),
     ("base: no1\nflow: {viscosity: 397 mPa s}\n", "=397|0\\.397|flow"),
 ]  # fmt: skip
+FLOWS = "flow [m3/h],pressure [bar]\n"
 CSV = [
     ("flow [m3/h]\tpressure [bar]\n10\t3\n20\t4\n", "column"), ("flow [m3/hour],pressure [bar]\n10,3\n20,4\n", "flow"),
     ("flow [bar],pressure [m3/h]\n10,3\n20,4\n", ""), ("pipe 1\nflow [m3/h],pressure [bar]\n10,3\n20,4\n", ""),
@@ -184,6 +195,14 @@ CSV = [
     ("flow [m3/h],pressure [bar]\n10,0.3\n\n20,0.4\n\n\n", "=fitted to 2 points"),
     ("flow [m3/h],pressure [bar]\n" + "10,3\n" * 3, ""), ("\ufeff\ufeffflow [m3/h],pressure [bar]\n10,3\n20,4\n", ""),
     ("flow [m3/h],pressure [bar]\n10,3e-320\n20,4\n", ""), ("flow [m3/h]],pressure [bar]\n10,3\n20,4\n", ""),
+    *((FLOWS + rows, says) for rows, says in (
+        ("10,0.3\r20,0.4\r", "=fitted to 2"), ("10,0.3\n20,0.4\n\n,\n  ,\n", "=fitted to 2"), ('"1,000",0.3\n20,0.4\n', "line 2"),
+        ("10,0.3\n20,n/a\n", "line 3"), ("10,0.3\n20,#DIV/0!\n", "line 3"), ("10,0.3\n20,(0.4)\n", "line 3"), ("10,0.3\n20,50 %\n", "line 3"),
+        ('10,"0.3\n20",0.4\n', ""), ('10,"0.3\n', "CSV"), ("10,0.3,\n20,0.4,\n", "3 values"), ("1" * 5000 + ",1\n2,3\n", "line 2"),
+        ("".join(f"{10 + k / 1000},{0.3 + k * 1e-5}\n" for k in range(4000)), "=fitted to 4000"),
+    )),
+    ("sep=;\nflow [m3/h];pressure [bar]\n10;0,3\n20;0,4\n", ""), ("flow [m3/h];pressure [bar]\n10;0,3\n20;0,4\n", "=fitted to 2"),
+    ("flow,pressure\n[m3/h],[bar]\n10,3\n20,4\n", ""), (("flow [m3/h],pressure [bar]\n10,0.3\n20,0.4\n").encode("utf-16"), "UTF-8"),
     ("\u202eflow [m3/h],pressure [bar]\n10,3\n20,4\n", "column"), ("x" * 200_000 + "\n", ""), ("flow,flow \n1,2\n", "twice"),
 ]  # fmt: skip
 VARY = "vary: {viscosity: [15, 100], yield_stress: [30, 200]}\n"
@@ -358,7 +377,7 @@ def attacks() -> Iterator[Attack]:
     ):  # fmt: skip
         for text, says in table:
             codes = (0,) if says.startswith("=") else (2,)
-            yield Attack(kind, text, words, says.removeprefix("="), {file: text}, codes)
+            yield Attack(kind, str(text), words, says.removeprefix("="), {file: text}, codes)
     for name, content in MESHES:
         yield Attack("mesh", f"{name} {content!r}", f"run part --wall {name} --out o", "", {name: content})
         yield Attack("mesh, elements", f"{name} {content!r}", f"run pipe --wall {name} --out o", "", {name: content})

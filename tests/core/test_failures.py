@@ -178,6 +178,8 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
         with pytest.raises(RunFolderError, match=r"c\.npz") as caught:
             Simulation(scenes.pipe(**TINY), device="cpu").resume(tmp_path / "c.npz")
         assert "pickle" not in str(caught.value)
+    with pytest.raises(RunFolderError, match="is a directory, but a checkpoint is a file"):
+        Simulation(scenes.pipe(**TINY), device="cpu").begin(tmp_path)
 
 
 # Options that would be ignored, names, and what is shown.

@@ -201,7 +201,8 @@ def is_empty(folder: Path) -> bool:
 def remove_partial(folder: Path) -> None:
     """Remove the incomplete files that a killed process left in a folder."""
     for path in folder.glob(f"{PARTIAL}*"):
-        path.unlink(missing_ok=True)
+        if not path.is_dir():
+            path.unlink(missing_ok=True)
 
 
 def output_folder(out: object, name: str) -> Path:

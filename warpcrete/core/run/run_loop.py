@@ -122,6 +122,8 @@ class Simulation(CheckpointedSimulation):
         """
         if path is None and self.folder is not None:
             path = self.folder / CHECKPOINT
+        if path is not None and path.is_dir():
+            raise RunFolderError(f"'{path}': is a directory, but a checkpoint is a file; remove the directory")
         self.resumes = path is not None and path.is_file()
         try:
             self.claim()
