@@ -379,3 +379,8 @@ def test_unstable_fixed_step_is_refused_and_a_stable_one_is_not(start):
     assert start(scene(0.999 * limit)).dt == 0.999 * limit
     with pytest.raises(SceneError, match="above the largest stable time step"):
         start(scene(1.001 * limit))
+
+
+def test_the_changelog_is_wrapped():
+    lines = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines()
+    assert not [number for number, line in enumerate(lines, 1) if len(line) > 120]
