@@ -52,8 +52,9 @@ def mark_function(scalar):
 
 @functools.cache
 def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int) -> SimpleNamespace:
-    """Return the kernels that create the links (pairs as the GPU evaluates them) when neighbour lists are rebuilt.
+    """Return the kernels that create the links when neighbour lists are rebuilt.
 
+    A link represents both list entries of a pair of spheres, so that a GPU evaluates each pair once.
     ``clear_links`` marks all links as unused, with one thread per link. ``count_own`` counts the links of each sphere,
     with one thread per sphere. ``fill_links`` writes the links; `lanes` threads share the list entries of a sphere.
     `rows` is the number of rows in which a link stores its forces.

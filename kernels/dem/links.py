@@ -101,9 +101,10 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
-        """Add up force, moment and lost energy over the links (pairs) of sphere i, in list order.
+        """Add up force, moment and lost energy over the links of sphere i, in the order of its neighbour list.
 
-        `row` is the index of the scene's first list entry, and `pairs.start[slot]` is the first list entry of sphere i.
+        `row` is the index of the scene's first list entry. `pairs.start[slot]` is the index of the first list entry of
+        sphere i, counted from `row`.
         """
         force = t.vec3()
         moment = t.vec3()

@@ -205,8 +205,8 @@ def array_structs(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Pairs:
-        # Index of each sphere's first list entry. The indices of each scene end with the scene's total number of list
-        # entries. Shape (spheres + scenes,).
+        # Index of each sphere's first list entry, counted from the scene's first list entry. The indices of each scene
+        # end with the scene's total number of list entries. Shape (spheres + scenes,).
         start: wp.array(dtype=wp.int32)
         # index j of the neighbour, or -1 - j if j has the lower permanent number, shape (pairs,)
         other: wp.array(dtype=wp.int32)

@@ -73,8 +73,8 @@ def body_structs(scalar) -> SimpleNamespace:
         turn: wp.array(dtype=quat)  # Orientation of each aggregate, shape (n,).
         radius: wp.array(dtype=scalar)  # Radius of a sphere with the volume of each aggregate [m], shape (n,).
 
-        # Mass of each aggregate minus the mass of an equal volume of mortar [kg], and moment of inertia of each
-        # aggregate minus the moment of inertia of this mortar [kg m2], each of shape (n,).
+        # Mass of each aggregate minus the mass of the mortar in its place [kg], and moment of inertia of each aggregate
+        # minus the moment of inertia of this mortar [kg m2], each of shape (n,).
         extra_mass: wp.array(dtype=scalar)
         extra_inertia: wp.array(dtype=scalar)
         force: wp.array(dtype=vec3)  # External force on each aggregate, such as weight minus buoyancy [N], shape (n,).
@@ -101,7 +101,7 @@ def body_structs(scalar) -> SimpleNamespace:
         offset: wp.array(dtype=vec3)
         arm: wp.array(dtype=vec3)
         moments: wp.array(dtype=vec3)  # Principal moments of inertia of each aggregate over its mass [m2], shape (n,).
-        # Inertia tensor of each aggregate minus the inertia tensor of an equal volume of mortar, along the axes of the
+        # Inertia tensor of each aggregate minus the inertia tensor of the mortar in its place, along the axes of the
         # grid [kg m2], shape (n,).
         tensor: wp.array(dtype=mat33)
         # Torque that keeps the angular momentum of each aggregate constant while its inertia tensor turns [N m], shape
@@ -243,7 +243,10 @@ def shape_functions(scalar, kind: BodyKind) -> SimpleNamespace:
 
     @wp.func
     def tensor(bodies: Bodies, b: wp.int32) -> mat33:
-        """Return the tensor of an aggregate's extra inertia along the axes of the grid [kg m2]."""
+        """Return an aggregate's inertia tensor minus the inertia tensor of the mortar in its place [kg m2].
+
+        The components are along the axes of the grid.
+        """
         turn = wp.quat_to_matrix(quat(bodies.turn[b]))
         return turn * wp.diag(bodies.extra_mass[b] * bodies.moments[b]) * wp.transpose(turn)
 

@@ -115,8 +115,9 @@ def entering_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     def weigh(g: Grid, flags: wp.array(dtype=wp.int32), entrance: Entrance, bodies: Bodies, excess: scalar):
         """Set the force on each aggregate; `excess` is the density of aggregates minus that of mortar [kg/m3].
 
-        The extra mass of an aggregate is known. It is `excess` times its volume, plus the density of the mortar times
-        the volume that has left the box.
+        The volume of an aggregate that has left the box follows from `extra_mass`, which is the mass of the aggregate
+        minus the mass of the mortar in its place: `excess` times the volume of the aggregate, plus the density of the
+        mortar times the volume that has left the box.
         """
         if flags[HALTED] != 0:
             return

@@ -74,7 +74,7 @@ MISTAKES = {
     "negative stiffness": (
         "p.shear_stiffness, p.damping, scalar",
         "p.shear_stiffness, -p.damping, scalar",
-        r"as number 3': must not be negative",
+        r"stiffness\(\) = 'c_n = -.* N s/m': must not be negative",
     ),
     "dashpot not told": (
         "p.shear_stiffness, p.damping, scalar",

@@ -179,7 +179,7 @@ def test_the_printed_layer_has_all_constants_of_its_law(trial, laws, section, fa
 
 
 def test_a_slump_alone_and_a_mix_with_a_file_of_points_are_written_whole(trial):
-    """Points of a viscometer are written as numbers, because their file is in the folder of the concrete."""
+    """Points of a viscometer are written as numbers, because the path of their file holds only in its old folder."""
     options = ["--diameter", "125 mm", "--length", "158 m", "--flow", "30 m3/h", "--fit", trial / "taps.csv"]
     run("line", "--slump", "200 mm", "--stone", "16 mm", *options, "--out", trial / "one")
     mix = read_mix(trial / "one" / "concrete.yaml")

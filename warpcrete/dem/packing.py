@@ -39,8 +39,9 @@ CHUNK = 50  # Number of time steps between two evaluations of the pressure of a 
 # while the aggregates push each other apart. Only a higher pressure shows that the growth may end.
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # Solid fraction that no packing of aggregates reaches at pressures of kilopascals.
-# The pressure of a packing is evaluated at intervals and compared with the wanted pressure. After this number of
-# consecutive evaluations in which the pressure was always too high, or always too low, the sizes are changed faster.
+
+# Number of consecutive evaluations of the pressure after which the sizes are changed faster, if the pressure was too
+# high at all of them, or too low at all of them.
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # Largest factor by which the adjustment of sizes to a wanted pressure is sped up.
 
@@ -282,10 +283,8 @@ class _Growth:
         """Let the aggregates come to rest; if a pressure is wanted, adjust sizes until it is met."""
         pressure = self.fill.pressure
         looks_on_target, least, was_too_low = 0, 1e-3, None
-        gain, looks_off_target = (
-            1.0,
-            0,
-        )  # `looks_off_target` counts consecutive evaluations with the pressure always too high, or always too low.
+        # `looks_off_target` counts consecutive evaluations with the pressure always too high, or always too low.
+        gain, looks_off_target = 1.0, 0
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:

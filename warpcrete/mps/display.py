@@ -94,7 +94,7 @@ class FlowDisplay(Display):
         return (np.where(coarse[:, None], GRAIN, MORTAR) * shade[:, None]).astype(np.uint8)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return curves of driving pressure and slip velocity over time, each with the constant value of theory."""
+        """Return plots over time: driving pressure and slip velocity, each with the constant value by theory."""
         theory = self.simulation.scene.theory()
         return (
             Plot("pressure", self.pressure_label.capitalize(), (
@@ -108,7 +108,7 @@ class FlowDisplay(Display):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity profile at mid-height of the column, with the profile by theory."""
+        """Return a plot of the velocity profile at mid-height of the column, with the profile by theory."""
         place = "distance from the middle" if self.simulation.scene.dimensions == 2 else "radius"
         title = f"Velocity [cm/s] over {place} [mm]"
         return (Profile("velocity", title, (

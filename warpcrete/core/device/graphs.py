@@ -26,7 +26,10 @@ collection."""
 
 
 def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
-    """Acquire the lock when a garbage collection starts, and release it when the collection stops."""
+    """Acquire the lock `_collecting_or_capturing` when a garbage collection starts, and release it when it stops.
+
+    With this lock, no garbage collection frees an array while another thread captures a graph.
+    """
     if phase == "start":
         _collecting_or_capturing.acquire()
         _collections[:] = [info["generation"]]
@@ -38,7 +41,9 @@ def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
 
 
 def _lock_collections() -> None:
-    """Make garbage collections hold the lock from now on, and wait until a collection without the lock has ended.
+    """Make garbage collections hold the lock `_collecting_or_capturing` from now on.
+
+    Wait until a collection that runs without the lock has ended.
 
     The first capture calls this function, so a program that captures no graph has no such callback. This matters
     because Python drops exceptions inside a callback of the collector: a Ctrl-C that arrives there is lost.

@@ -45,6 +45,8 @@ ROUNDING = 1e-3
 """Smallest fraction of a force, or of an energy, that is too large to be a rounding error."""
 NORMAL, ALONG = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
 """Normal of the contact, and direction in which body b slides, in `kernels/dem/law_trial.py`."""
+STIFFNESSES = (("k_n", "N/m"), ("k_s", "N/m"), ("c_n", "N s/m"), ("c_s", "N s/m"))
+"""Names and units of the four values that `stiffness` returns."""
 STRESS_FACTOR = 30.0
 """Largest factor between `stress_scale` and the stress that the law has in a deep contact."""
 
@@ -198,11 +200,12 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             )
     low = found.stiffness.min(axis=(0, 1))
     if low.min() < 0:
+        label, unit = STIFFNESSES[int(low.argmin())]
         refuse(
             f"{name}.stiffness()",
-            f"{low.min():.3g} as number {1 + int(low.argmin())}",
+            f"{label} = {low.min():.3g} {unit}",
             "must not be negative",
-            "return 0 where the force falls with the overlap",
+            "return 0 where the force falls with the overlap or with the speed",
         )
     if not law.has_history and np.abs(found.history).max() > 0:
         refuse(
@@ -332,11 +335,8 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
             "set has_history = True, or return the history unchanged",
         )
     spring = (slid.side - sliding.side) / (speed * dt)
-    for number, label, acts, unit in (
-        (1, "k_s", spring, "N/m"),
-        (2, "c_n", dashpot, "N s/m"),
-        (3, "c_s", sliding.side / speed, "N s/m"),
-    ):
+    for number, acts in ((1, spring), (2, dashpot), (3, sliding.side / speed)):
+        label, unit = STIFFNESSES[number]
         told = closing.stiffness[..., number]
         short = TOLD_SHARE * acts - told
         if short.max() > ROUNDING * np.abs(acts).max():

@@ -99,7 +99,7 @@ class PartDisplay(GridDisplay):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the pressure along the axis, and the pressure in straight pipes with the same bores."""
+        """Return a plot of the pressure along the axis, with the pressure in straight pipes with the same bores."""
         return (Profile("pressure", "Pressure [kPa] along the axis [m]", (
             Points("this run", self._pressures, RUN), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip

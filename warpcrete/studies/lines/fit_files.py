@@ -89,7 +89,11 @@ def _slumped_entries(given: MixEntries) -> dict[str, Any]:
 
 
 def _points(section: MixSection, given: MixEntries) -> dict[str, Any]:
-    """Return points of a viscometer as numbers, because their file is relative to the folder of the concrete's file."""
+    """Return the entry `viscometer` with the measured points as numbers; empty if the mix has no such entry.
+
+    The entry may instead be the path of a file with the points, relative to the folder of the concrete's file. This
+    path would be wrong in the new file, which is in another folder.
+    """
     if "viscometer" not in section.values or given.viscometer_points is None:
         return {}
     return {"viscometer": [list(pair) for pair in zip(*given.viscometer_points, strict=True)]}

@@ -23,11 +23,13 @@ SHIPPED_YIELDS = (0.0, 251.0)
 """Range of the yield stress of a slip layer [Pa] if no mix states one. The upper end is the largest value of the
 concretes of this package, which no1 has."""
 THINNEST = 100.0
-"""Smallest viscosity of a slip layer [Pa s/m] with which a larger yield stress is combined. Measured layers have 100 to
-10000 Pa s/m."""
+"""Smallest viscosity of a slip layer [Pa s/m] that is considered possible. A layer with a larger yield stress than the
+fitted layer has the same friction only if its viscosity is smaller, so this limit also limits the yield stress.
+Measured layers have 100 to 10000 Pa s/m."""
 THICKEST = 1e6
-"""Largest viscosity of a slip layer [Pa s/m] with which a smaller yield stress is combined. With it, concrete
-practically sticks to the wall."""
+"""Largest viscosity of a slip layer [Pa s/m] that is considered possible. A layer with a smaller yield stress than the
+fitted layer has the same friction only if its viscosity is larger. With this viscosity, concrete practically sticks to
+the wall."""
 OTHER_FLOWS = (0.5, 2.0)
 """Ratios of other flows to the measured flow. The uncertainty of a layer for later use holds between these flows."""
 BISECTIONS = 60
@@ -50,7 +52,8 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
 
     The layers have the smallest and the largest possible yield stress, and the same mean friction behind the gauges as
     the fitted layer. If the pressures determine the yield stress, its range is given by `yield_deviation`. Otherwise it
-    is the range from before the measurement (:func:`known_yields`). The viscosity of the layers is at least `THINNEST`.
+    is the range from before the measurement (:func:`known_yields`). The viscosity of the layers is at least `THINNEST`,
+    unless the fitted viscosity is smaller.
 
     The errors of the fit relate the yield stress to the friction. With this relation, the layers at the ends of the
     band of the friction (`layer_ends`) get their yield stresses.

@@ -104,8 +104,8 @@ def library_factor(part: Part) -> float:
     if part.kind == "bend":
         return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
     if part.kind == "reducer":
-        # The table begins with a radius that does not change, which causes no additional loss. In a pipe that widens,
-        # the change is negative, so the interpolation returns this first value.
+        # The first entry of the table is for a pipe of constant radius, without additional loss. In a pipe that widens,
+        # the change of radius is negative, so the interpolation returns this first entry.
         return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
     return 1.0
 

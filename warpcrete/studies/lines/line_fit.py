@@ -15,9 +15,8 @@ from .losses import with_layer_factor
 from .taps import Tap, is_free
 
 OPEN_YIELD, FITTED_YIELD = "unknown yield stress of the slip layer", "yield stress of the slip layer"
-"""Names in reports of two causes of uncertainty at flows other than the measured ones. OPEN_YIELD is a yield stress
-that the measured pressures do not determine. FITTED_YIELD is the error of a yield stress that the measured pressures
-determine."""
+"""Two causes of uncertainty at flows that were not measured, as reports name them. OPEN_YIELD: the measured pressures
+do not determine the yield stress. FITTED_YIELD: they determine it, but with an error."""
 NO_YIELD = "left out of the fit, because the points would give a negative value"
 """Reason why the yield stress of the slip layer was left out of a fit, so that it is zero."""
 

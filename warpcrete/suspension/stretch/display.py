@@ -73,7 +73,7 @@ class StretchDisplay(SphereDisplay):
         return "pressure [kPa]", 0.0, rounded_up(2e-3 * scene.gradient * scene.length)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return the volume flow, and the distance of the aggregates from the axis, over time."""
+        """Return plots over time: the flow or the friction, and the mean distance of the aggregates from the axis."""
         radius = Curve("radius", "mean distance from the axis [radii]", lambda row: row["aggregate_radius"], SECOND)
         driven = Plot("flow", "Flow", (Curve("flow", "flow [m3/h]", lambda row: 3600 * row["flow"], RUN),))
         if self._scene.mean_velocity is not None:
@@ -82,7 +82,7 @@ class StretchDisplay(SphereDisplay):
         return (driven, Plot("migration", "Aggregates", (radius,)))
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity over the radius, and the theoretical velocity of the mortar without aggregates."""
+        """Return plots over the radius: velocity, with the theory for mortar alone, and fraction of aggregates."""
         return (Profile("velocity", "Velocity [m/s] over the radius [mm]", (
             Points("this run", lambda: self._velocities()[0], RUN),
             Points("mortar alone, theory", lambda: self._velocities()[1], THEORY),
