@@ -63,7 +63,7 @@ def cases() -> list[Case]:
         {"HOME": None}, {"TMPDIR": "/nope"}, {"COLUMNS": "20"}, {"COLUMNS": "-5"}, {"COLUMNS": "x"}, {"NO_COLOR": "1"},
         {"PYTHONIOENCODING": "latin-1"}, {"PYTHONIOENCODING": "utf-16"}, {"PYTHONOPTIMIZE": "2"}, {"TZ": "Foo/Bar"},
         {"PYTHONWARNINGS": "error"}, {"LC_ALL": "xx_YY.foo"}, {"MPLBACKEND": "QtAgg", "DISPLAY": None},
-        {"PATH": "/nope"},
+        {"MPLBACKEND": "nope"}, {"PATH": "/nope"},
     ):  # fmt: skip
         lines = None if "utf-16" in variables.values() else 0
         found.append(Case(f"environment {variables}", "{run}", environment=variables, lines=lines))

@@ -86,3 +86,9 @@ def test_a_kernel_cache_that_cannot_be_written_is_named(monkeypatch):
         device.quiet_init()
     with pytest.raises(DeviceError, match="No space left"), kernel_cache_errors():
         raise OSError(28, "No space left on device")
+
+
+def test_a_backend_of_matplotlib_that_is_missing_costs_no_picture(tmp_path):
+    words = [sys.executable, "-m", "warpcrete", "line", "burj-khalifa", "--theory", "--out", "line"]
+    subprocess.run(words, cwd=tmp_path, env=os.environ | {"MPLBACKEND": "nope"}, capture_output=True, check=True)
+    assert (tmp_path / "line" / "line.png").is_file()

@@ -363,6 +363,8 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
+    # The command draws into files only. A backend that the environment names may be missing, and Matplotlib then fails.
+    os.environ["MPLBACKEND"] = "agg"
     # Treat SIGTERM and the end of the terminal like Ctrl-C, so that the run saves its data before it ends. The command
     # 'nohup' ignores SIGHUP, and this must stay so.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
