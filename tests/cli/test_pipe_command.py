@@ -319,10 +319,10 @@ def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
 @pytest.mark.parametrize(
     ("option", "given", "says"),
     [
-        ("--pipeline-vertical", "3 kg", "pipeline_vertical = '3 kg': must be a number with one of m, mm"),
-        ("--pipeline-horizontal", "50 %", "pipeline_horizontal = '50 %': must be a number with one of m, mm"),
-        ("--frames", "3 m", "frames = '3 m': must be a number with one of 1/s"),
-        ("--checkpoint-every", "5 %", "checkpoint_every = '5 %': must be a number with one of s, ms, min, h"),
+        ("--pipeline-vertical", "3 kg", "pipeline_vertical = '3 kg': must be a number with one of the units m, mm"),
+        ("--pipeline-horizontal", "50 %", "pipeline_horizontal = '50 %': must be a number with one of the units m, mm"),
+        ("--frames", "3 m", "frames = '3 m': must be a number with the unit 1/s"),
+        ("--checkpoint-every", "5 %", "checkpoint_every = '5 %': must be a number with one of the units s, ms, min, h"),
         ("--pipeline-vertical", "-60 ft", "pipeline_vertical = -18.288: must be finite and at least 0 m"),
         ("--checkpoint-every", "-2 min", "checkpoint_every = -120.0: must be finite and at least 0 s"),
     ],

@@ -35,11 +35,12 @@ WRONG = [
     ("1,234,567 m", "m", "leave out separators"), ("1/2", "m", "write fractions of inches or feet as '4 1/2 in'"),
     ("1/2 m", "m", "write fractions of inches"), ("4 1/3 in", "m", "halves to sixty-fourths"),
     ("4 9/8 in", "m", "write fractions"), ("1/2 bar", "Pa", "write a decimal number instead of a fraction"),
-    ("6 ft 15 in", "m", "with one of m, mm"), ("6.5 ft 3 in", "m", "with one of"), ("6 ft 3 m", "m", "with one of"),
+    ("6 ft 15 in", "m", "with one of the units m, mm"), ("6.5 ft 3 in", "m", "with one of the units"),
+    ("6 ft 3 m", "m", "with one of the units"),
     ("30 m3/hor", "m3/s", "did you mean 'm3/h"), ("5 inchs", "m", "did you mean 'inch"),
-    ("1/0 in", "m", "write fractions"), ("", "m", "with one of"),
-    ("-", "m", "with one of"), ("1" * 400, "m", "left out"), ("1e999 m", "m", "with one of"),
-    ("5 km 3 m", "m", "with one of"), ("3 '", "s", "with one of s, ms, min, h;"),
+    ("1/0 in", "m", "write fractions"), ("", "m", "with one of the units"),
+    ("-", "m", "with one of the units"), ("1" * 400, "m", "left out"), ("1e999 m", "m", "with one of the units"),
+    ("5 km 3 m", "m", "with one of the units"), ("3 '", "s", "with one of the units s, ms, min, h;"),
 ]  # fmt: skip
 
 
@@ -123,7 +124,7 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
         (
             {"cement": "4512 lb"},
             {},
-            r"^mix parts: cement = '4512 lb': must be .* kg/m3.*; or add the volume, as in 'volume: 8 yd3'",
+            r"^mix parts: cement = '4512 lb': must be .* kg/m3.*; or add this volume, as in 'volume: 8 yd3'",
         ),
         ({"water": "264 gal"}, {}, r"^mix parts: water = '264 gal': must be .*'volume: 8 yd3'"),
         ({"sand": "300 l/m3"}, {}, r"^mix parts: sand = '300 l/m3': is a volume, which is accepted for water"),
@@ -131,7 +132,7 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
         ({"water": "18 %"}, {}, r"^mix parts: water = '18 %': is a share, but must count per volume"),
         ({"water reducer": "4 oz/cwt"}, {}, r"^mix parts: water reducer = '4 oz/cwt': counts per 100 lb of cement"),
         ({"cement": 340}, {"volume": 0}, r"^mix volume = 0.*: must be in \[0\.001, 10000\] m3"),
-        ({"cement": 340}, {"volume": "8 kg"}, r"^mix volume = '8 kg': must be a number with one of m3, l"),
+        ({"cement": 340}, {"volume": "8 kg"}, r"^mix volume = '8 kg': must be a number with one of the units m3, l"),
     ],
 )
 def test_amounts_that_are_no_mass_per_volume_are_refused(parts, volume, says):

@@ -280,7 +280,7 @@ def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypa
     for pull in ("0.02 N", "20 mN", "2e-5 kN"):
         scene = scenes.pipe(contact="sticky:Sticky", contact_stiffness="5000 N/m^1.5", contact_pull=pull)
         assert scene.contact.stiffness == 5000.0 and scene.contact.pull == pytest.approx(0.02, rel=1e-15)
-    with pytest.raises(SceneError, match=r"^contact_pull = '2 %': must be a number with one of N, mN, kN"):
+    with pytest.raises(SceneError, match=r"^contact_pull = '2 %': must be a number with one of the units N, mN, kN"):
         scenes.pipe(contact="sticky:Sticky", contact_pull="2 %")
     scene = scenes.pipe(contact="sticky:Sticky", contact_pull=0.01)
     assert "contact law Sticky" in scene.caption and "concrete" not in scene.caption

@@ -306,7 +306,7 @@ def test_only_the_bends_of_a_hose_take_more_than_a_straight_pipe():
         ({"points": [[1, 0, 0], [1.01, 0, 0]]}, "half a diameter, 0.05 m, apart"),
         ({"points": [[1, 0]]}, "must each have three coordinates"),
         ({"points": "there"}, "must be a list of points"),
-        ({"points": [[1, 0, "2 bar"]]}, "must be a number with one of m"),
+        ({"points": [[1, 0, "2 bar"]]}, "must be a number with one of the units m"),
         ({"points": [[1, 0, 0]], "layer": 0}, "layer = 0"),
     ],
 )

@@ -383,7 +383,7 @@ def test_viscosities_stay_finite_and_positive_at_rest():
         ({"quadratic_viscosity": 1e7}, "quadratic_viscosity = 10000000.0: is impossible"),
         ({"flow_index": 1.2, "quadratic_viscosity": 1.0}, "flow_index = 1.2: cannot be combined with"),
         ({"slip_flow_index": 1.2, "slip_quadratic_viscosity": 1.0}, "slip_flow_index = 1.2: cannot be combined with"),
-        ({"quadratic_viscosity": "2 Pa s"}, "quadratic_viscosity = '2 Pa s': must be a number with one of Pa s2"),
+        ({"quadratic_viscosity": "2 Pa s"}, "quadratic_viscosity = '2 Pa s': must be a number with the unit Pa s2"),
     ],
 )  # fmt: skip
 def test_impossible_laws_are_refused_in_one_line(given, says):

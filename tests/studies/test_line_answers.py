@@ -100,11 +100,11 @@ def test_a_pump_is_compared_with_its_data_sheet():
             r"^pump = \{'flow': '90 m3/h'\}: has no 'pressure'; add the largest pressure from the data sheet",
         ),
         ({"presure": "85 bar"}, r"^pump's key = 'presure': must be one of pressure, flow, power; did you"),
-        ("85 kW", r"^pump pressure = '85 kW': must be a number with one of Pa, bar"),
+        ("85 kW", r"^pump pressure = '85 kW': must be a number with one of the units Pa, bar"),
         (0, r"^pump pressure = 0\.0: must be a finite number above 0 Pa"),
         (
             {"pressure": "85 bar", "power": "110 bar"},
-            r"^pump power = '110 bar': must be a number with one of W, kW, hp",
+            r"^pump power = '110 bar': must be a number with one of the units W, kW, hp",
         ),
         ([85], r"^pump pressure = \[85\]: must be a number"),
     ],
@@ -258,7 +258,7 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
     assert len(along["place"]["values"]) == 5 == len(along["pressure_high"]["values"])
     assert set(record["band_shares"]) == {"slip layer", "bends", "hoses"}
     wrong = CliRunner().invoke(cli, ["line", str(path), "--theory", "--pump-pressure", "85 kg"])
-    assert "pump pressure = '85 kg': must be a number with one of Pa, bar" in str(wrong.exception)
+    assert "pump pressure = '85 kg': must be a number with one of the units Pa, bar" in str(wrong.exception)
     for more, says in ((["--cells", "9"], "cells: has no effect without a simulation; add --simulate"),
                        (["--theory", "--simulate"], "--theory: cannot be combined with --simulate")):  # fmt: skip
         refused = CliRunner().invoke(cli, ["line", str(path), *more])

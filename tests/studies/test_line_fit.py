@@ -177,7 +177,10 @@ def test_points_that_do_not_suffice_are_refused(points, says):
         ("place [m],pressure [bar],flow [m3/h]\n-1,20,20\n", r"place = -1\.0: must be at least 0 and below "),
         ("part,pressure [bar],flow [m3/h]\n9,20,20\n", r"line 2: part = 9\.0: must be the number of a part, 1 to 8"),
         ("part,pressure [bar],flow [m3/h]\n1.5,20,20\n", r"part = 1\.5: must be the number of a part"),
-        ("part,pressure [kg],flow [m3/h]\n1,20,20\n", r"pressure = '20 kg': must be a number with one of Pa, bar"),
+        (
+            "part,pressure [kg],flow [m3/h]\n1,20,20\n",
+            r"pressure = '20 kg': must be a number with one of the units Pa, bar",
+        ),
         (
             "part,pressure [bar],flow [m3/h]\n1,0,20\n",
             r"pressure = 0\.0: must be a finite number above 0 Pa; leave out",

@@ -64,7 +64,7 @@ def test_the_default_bend_is_at_least_two_diameters_wide():
         ({"valve": {"radius": 1}}, r"valve: key = 'radius': must be one of length, factor, equivalent"),
         ({"hose": {"length": 3, "points": [[1, 0, 0]]}}, r"hose: length = 3: cannot be given together with 'points'"),
         ({"hose": {"layer": 0.5}}, r"hose: points = None: must be a list of points; .*or a length, as in 'hose: 8"),
-        ({"hose": "8 kg"}, r"hose: length = '8 kg': must be a number with one of m, mm"),
+        ({"hose": "8 kg"}, r"hose: length = '8 kg': must be a number with one of the units m, mm"),
         ({"hose": 0}, r"hose: length = 0\.0: must be a finite number above 0 m"),
         (
             {"straight": {"length": 12, "5 m": None}},

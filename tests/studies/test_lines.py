@@ -54,7 +54,9 @@ def test_amounts_come_in_the_units_that_people_use(given, unit, value):
     "given", ["30 m3/hor", "thirty", "30 m3/h up", 10**400, [1], True, None, float("nan"), "30 mm"]
 )
 def test_other_amounts_are_refused(given):
-    with pytest.raises(SceneError, match=r"^flow = .*: must be a number with one of m3/s, m3/h, .* is in m3/s$"):
+    with pytest.raises(
+        SceneError, match=r"^flow = .*: must be a number with one of the units m3/s, m3/h, .* is in m3/s$"
+    ):
         amount("flow", given, "m3/s")
 
 
@@ -167,7 +169,7 @@ BEND = {"bend": {"to": "up", "radius": 0.5}}
     ("changed", "words"),
     [
         ({"parts": []}, r"^parts = \[\]: must be a list of one or more parts"),
-        ({"diameter": "125 mn"}, r"^diameter = '125 mn': must be a number with one of m, mm, cm"),
+        ({"diameter": "125 mn"}, r"^diameter = '125 mn': must be a number with one of the units m, mm, cm"),
         ({"diameter": -1}, r"^diameter = -1\.0: must be a finite number above 0 m"),
         ({"speed": 1}, r"^line's key = 'speed': must be one of name, source"),
         ({"begin": ["up"]}, r"^begin = \['up'\]: must be one of level, up, down"),

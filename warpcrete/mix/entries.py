@@ -27,7 +27,7 @@ NUMBERS = {
         5000,
         "write units other than kg/m3 behind the number, as in '2.35 t/m3'",
     ),
-    "volume": Entry("Volume of the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
+    "volume": Entry("Volume of concrete in the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
     "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent with the sign, as in '2 %'"),
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
     "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "write the unit, as in '180 mm' or '7 in', and give "

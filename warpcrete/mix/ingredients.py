@@ -248,8 +248,9 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     _check_stated(name, value)
     whole = is_amount(value, "kg") or is_amount(value, "m3")
     if whole and load is None:
-        refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, because the volume of "
-               "the load is unknown", "or add the volume, as in 'volume: 8 yd3'")  # fmt: skip
+        problem = f"must be a number with one of the units {', '.join(unit_names('kg/m3'))}"
+        refuse(field, value, f"{problem}, because the volume of concrete in the load is unknown",
+               "or add this volume, as in 'volume: 8 yd3'")  # fmt: skip
     liquid = is_amount(value, "m3") or (is_amount(value, "m3/m3") and not str(value).rstrip().endswith("%"))
     if liquid:
         noun = _noun(name)
@@ -261,8 +262,8 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
         return DENSITIES["admixture" if trade_name else noun] * volume
     if load and not whole and isinstance(value, str) and not is_amount(value, "kg/m3") and value.strip()[-1:].isalpha():
         units = (", ".join(unit_names(each)) for each in ("kg", "kg/m3"))
-        refuse(field, value, "must be a number with one of {} for the whole load, or with one of {} for a volume of "
-               "concrete".format(*units),
+        refuse(field, value, "must be a number with one of the units {} for the whole load, or with one of the units "
+               "{} for a volume of concrete".format(*units),
                "leave out separators of thousands" if "," in value else "")  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 

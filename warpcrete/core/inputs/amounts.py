@@ -251,8 +251,11 @@ def amount(field: str, value: object, unit: str) -> float:
         with suppress(OverflowError):
             number = float(value)
     if not math.isfinite(number):
-        units = "without a unit, or with %" if unit == "1" else f"with one of {', '.join(unit_names(unit))}"
-        if unit not in UNITS:
+        names = unit_names(unit) if unit in UNITS else []
+        units = f"with one of the units {', '.join(names)}" if len(names) > 1 else f"with the unit {unit}"
+        if unit == "1":
+            units = "without a unit, or with %"
+        if not names:
             units = f"in {unit}"
         problem = f"must be a number {units}{more and f'; {more}'}"
         refuse(field, value, problem, "" if unit == "1" else f"a number without a unit is in {unit}")
