@@ -87,10 +87,11 @@ class RingParameters(Ring, SlumpParameters):
 
 @scene_function(RingParameters)
 def scene(parameters: RingParameters) -> FreeScene:
-    """Model a cone of concrete on a plate whose mould is lifted inside a ring of bars: spread, T500, blocking step.
+    """Model the J-ring test: a cone of concrete spreads through a ring of bars. Results: spread, T500, blocking step.
 
-    The scene equals `slump` with additional bars, which stand on the plate, have no ring on top, and hold the concrete
-    that sticks to them. The blocking step is the height of the concrete in the middle minus its height around the ring.
+    The cone stands on a plate inside the ring, and its mould is lifted. The scene is the slump test (scene `slump`)
+    with additional bars, which stand on the plate and have no ring on top. Concrete sticks to the bars. The blocking
+    step is the height of the concrete in the middle minus its height around the ring.
     A quarter of the ring is simulated. Bars stand on both planes of symmetry, so that all gaps are whole, and the
     number of bars must be a multiple of four. With aggregates, the results also state which fractions of the aggregates
     and of the mortar have passed the bars.

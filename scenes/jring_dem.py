@@ -21,12 +21,13 @@ class RingElements(SlumpElements, Ring):
 
 @scene_function(RingElements)
 def scene(parameters: RingElements) -> Scene:
-    """Model a cone of grains on a plate whose mould is lifted inside a ring of bars: spread, T500, blocking step.
+    """Model the J-ring test: a cone of grains spreads through a ring of bars. Results: spread, T500, blocking step.
 
-    The scene equals `slump-dem` with additional bars, which stand on the plate and have no ring on top. Mould and bars
-    resist sliding equally (`mould_grip`). The blocking step is the height of the concrete in the middle minus its
-    height around the ring. To see how strongly the bars hold concrete back, compare the spread with the spread in
-    `slump-dem` with the same seed.
+    The cone stands on a plate inside the ring, and its mould is lifted. The scene is the slump test (scene
+    `slump-dem`) with additional bars, which stand on the plate and have no ring on top. Mould and bars resist sliding
+    equally (`mould_grip`). The blocking step is the height of the concrete in the middle minus its height around the
+    ring. To see how strongly the bars hold concrete back, compare the spread with the spread in `slump-dem` with the
+    same seed.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

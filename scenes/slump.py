@@ -64,7 +64,7 @@ class SlumpParameters(FreeConcrete, AggregateParameters):
 
 @scene_function(SlumpParameters)
 def scene(parameters: SlumpParameters) -> FreeScene:
-    """Model a cone of concrete on a plate whose mould is lifted: slump, spread, T500.
+    """Model the slump test, in which the mould of a cone of concrete is lifted from a plate: slump, spread, T500.
 
     The mould opens from below as it is lifted, and has no friction; the concrete sticks to the plate by default. The
     concrete is a yield stress fluid, and the flow is symmetric about the axis. With aggregates, a quarter of the cone

@@ -28,7 +28,7 @@ class SlumpElements(VesselParameters):
 
 @scene_function(SlumpElements)
 def scene(parameters: SlumpElements) -> Scene:
-    """Model a cone of grains on a plate whose mould is lifted: slump, spread, T500.
+    """Model the slump test, in which the mould of a cone of grains is lifted from a plate: slump, spread, T500.
 
     The mould is a thin shell of 48 facets that rises at constant speed. The plate is an infinite plane.
     `mould_grip` and `plate_grip` scale the resistance of mould and plate to sliding. The grains are packed into the

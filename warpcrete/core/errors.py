@@ -93,7 +93,7 @@ class CapacityError(WarpcreteError):
 
 
 NOT_THE_USERS = ("warpcrete", "contextlib", "functools", "dataclasses")
-"""Packages whose lines are not the location of a warning."""
+"""Packages that are skipped when a warning is attributed to a line of code, so that it points at the user's line."""
 
 
 class PlausibilityWarning(UserWarning):

@@ -127,7 +127,11 @@ def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
 
 
 def plot_strokes(run: ElementRun) -> Any:
-    """Return a figure of pumping pressure [kPa] over time [s], with stops (shaded) and a rest (a vertical line)."""
+    """Return a figure of pumping pressure [kPa] over time [s], for a piston that stops and starts again.
+
+    The pauses between two strokes of the piston are shaded. A vertical line marks the time of the rest, if the scene
+    has one. In a rest, the concrete stands for minutes and its yield stress grows; the rest takes no simulated time.
+    """
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
     if stops is None:
         hint = "use the scene pipe with 'strokes', or plot_pressure for the pressure over the travel"

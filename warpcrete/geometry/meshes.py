@@ -65,7 +65,8 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
                 else " ".join(str(error).split())
             )
             problem = f"cannot be read as a triangle mesh ({why or type(error).__name__})"
-            refuse(field, str(source), problem, "give an STL, OBJ, PLY ... file with the matching file extension")
+            cure = "give a mesh file such as STL, OBJ or PLY, whose extension matches its format"
+            refuse(field, str(source), problem, cure)
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
         refuse(field, str(source), "must contain triangles, with finite vertices")
     _check_size(mesh, field, str(source), scale)

@@ -58,7 +58,8 @@ SLUMPS = (0.05, 0.10, 0.16)
 """Three slumps [m]: the smallest with which concrete can be pumped, the smallest usual one, and the largest that is
 expected without a plasticizer."""
 LARGEST_SPREAD = 0.795
-"""Largest spread [m] in 403 flows of concrete through coils of pipe (W. Shen), all of which were pumped."""
+"""Largest spread [m] of a concrete in 403 measured flows of concrete through coils of pipe (W. Shen). All of these
+concretes could be pumped."""
 LIGHTWEIGHT = 2000.0
 """Density [kg/m3] below which concrete counts as lightweight (EN 206, which states it for oven-dry concrete)."""
 LIGHTWEIGHT_SLUMP, LIGHTWEIGHT_CEMENT = 0.18, 320.0

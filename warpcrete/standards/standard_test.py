@@ -99,12 +99,13 @@ class ClosedForm:
     of: Callable[[Any], float | None]
     """Function that takes an :class:`Outcome` and returns the quantity that the closed form predicts.
 
-    The function returns None if the closed form is not valid for this outcome.
+    The function returns None outside the range in which the closed form is valid.
     """
     is_estimate: bool = True
     """True if calibrations may use this closed form for their first estimate.
 
-    If several closed forms of a quantity have the value True, the last one that is valid for the outcome is used.
+    If several closed forms of a quantity have the value True, calibrations use the last one whose function `of` does
+    not return None.
     """
 
     @property

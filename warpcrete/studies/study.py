@@ -16,7 +16,7 @@ from ..core.inputs.amounts import written_unit
 from ..core.inputs.by_name import names_from_file
 from ..core.inputs.limits import check_limit
 from ..core.inputs.origin import check_files, check_named
-from ..core.inputs.parameters import CompositeRule
+from ..core.inputs.parameters import CompositeRule, Needs
 from ..core.run.files import check_new, is_full, read_record, write_json
 from ..core.run.folders import locked_folder, new_folder
 from ..core.run.provenance import provenance
@@ -312,7 +312,10 @@ def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
             scene(**case.parameters)
             for name in sorted(idle & set(case.varied)):
                 problem = "is varied, but has no effect in any case of the study"
-                refuse(name, case.varied[name], problem, f"leave out {name!r}, or set what it needs")
+                field = scene.fields(case.parameters).get(name)
+                needed = [rule.condition for rule in field.of_kind(Needs)] if field is not None else []
+                cure = f"; it has an effect only if {' and '.join(needed)}" if needed else ""
+                refuse(name, case.varied[name], problem, f"leave out {name!r}{cure}")
     return found
 
 

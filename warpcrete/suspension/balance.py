@@ -125,7 +125,8 @@ class PairForces:
     approach: np.ndarray
     """Speed at which sphere and neighbour approach each other [m/s]."""
     sliding: np.ndarray
-    """Velocity of the sphere relative to its neighbour across `normal` [m/s], shape (n, 3); 0 without friction."""
+    """Tangential velocity of the sphere relative to its neighbour, perpendicular to `normal` [m/s], shape (n, 3); 0
+    without friction."""
     lubrication: np.ndarray
     """Force of lubrication that the grid does not resolve [N]; positive if it pushes sphere and neighbour apart."""
     contact: np.ndarray

@@ -174,8 +174,8 @@ def grid_parameters_struct(scalar, dimensions: int):
 def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
     """Build the structs `Particles`, `Fields` (arrays on the grid), `Geometry` (position of walls) and `Walls`.
 
-    In the shapes of arrays, `cells` is the number of cells including the frame around the grid, and n the number of
-    particles.
+    In the shapes of arrays, `cells` is the number of cells including the frame around the grid, `axes` the number of
+    axes of the grid, and n the number of particles. `pairs` is the number of pairs of axes: 1 in a plane, 3 in space.
     """
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
@@ -209,8 +209,10 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         sorted_position: wp.array(dtype=t.vec)  # Positions in the order of `sorted_particles` [m], shape (n,).
         sorted_mass: wp.array(dtype=scalar)  # Relative masses in the order of `sorted_particles`, shape (n,).
 
-        # Mass, position, velocity and gradient in the order of `sorted_particles`, one number after the other
-        # (`columns.py` has the details). CPU only; there `sorted_position` and `sorted_mass` are empty.
+        # Relative mass, position, velocity and velocity gradient of the particles, on a CPU only. The array consists of
+        # columns, one after the other. A column holds one number of all particles, such as one component of their
+        # velocities, in the order of `sorted_particles` (see `columns.py`). `sorted_position` and `sorted_mass` are
+        # empty on a CPU.
         columns: wp.array(dtype=scalar)
 
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
@@ -250,7 +252,9 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # (cells,).
         potential: wp.array(dtype=scalar)
         in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (cells,).
-        in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * cells,).
+        # Apparent viscosity at each cell edge [Pa s]. There is one edge for each pair of axes and cell, shape
+        # (pairs * cells,).
+        in_corner: wp.array(dtype=scalar)
 
         # Shear stress at each corner of a pipe's cells in the previous step [Pa]; on a wall, the wall stress.
         stress: wp.array(dtype=scalar)
@@ -290,8 +294,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         gap: wp.array(dtype=scalar)
         part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * cells,).
 
-        # Kind of each cell face that a wall closes: FIXED or INSIDE. There is one face for each axis and cell, shape
-        # (axes * cells,).
+        # Kind that each cell face has if a wall closes it entirely: FIXED or INSIDE. The values of other faces are not
+        # used. There is one face for each axis and cell, shape (axes * cells,).
         shut: wp.array(dtype=wp.int32)
         # Number of the wall nearest to each cell face. There is one face for each axis and cell, shape (axes * cells,).
         surface: wp.array(dtype=wp.int32)

@@ -338,7 +338,7 @@ class Display(ABC):
     def cut(self) -> float | None:
         """Coordinate y of an upright plane through the middle of the scene [m]; None if no cut is needed.
 
-        Only parts behind this plane are drawn, which shows the inside of a pipe or vessel.
+        Only parts beyond this plane, as seen from the camera, are drawn. This shows the inside of a pipe or vessel.
         """
         lower, upper = self.bounds()
         return float(0.5 * (lower[1] + upper[1]))

@@ -92,6 +92,11 @@ class Needs:
     effect.
     """
 
+    @property
+    def condition(self) -> str:
+        """Condition in words, with the names of the parameters, such as "'aggregate_fraction' is above 0"."""
+        return f"{' or '.join(map(repr, (self.field, *self.others)))} {self.words}"
+
     def holds(self, value: Callable[[str], Any]) -> bool:
         """Return whether at least one of the parameters `field` and `others` passes the test.
 
@@ -305,11 +310,10 @@ class Declared:
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
-                    either = " or ".join(map(repr, (rule.field, *rule.others)))
                     other = getattr(self, rule.field)
                     same = isinstance(other, Declared) and name in declared_fields(type(other))
                     instead = f"give '{rule.field}_{name}' instead" if same else f"change {rule.field!r}"
-                    why, cure = f"has no effect unless {either} {rule.words}", f"leave out {name!r}, or {instead}"
+                    why, cure = f"has no effect unless {rule.condition}", f"leave out {name!r}, or {instead}"
                     if rule.refused:
                         refuse(name, getattr(self, name), why, cure)
                     warn(f"{name} = {getattr(self, name)}: {why}; {cure}")

@@ -176,9 +176,10 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # The array `ends` has four columns for each pair: the rows of its two bodies in the body arrays, and the rows
-        # of its two forces in the force array. The force array is ordered by body, so that all forces on one body are
-        # neighbours in memory.
+        # Compute two indices for each end of a pair: the row of the end's body in the body arrays, and the row of the
+        # force on this body in the force array. The force array is ordered by body, so that all forces on one body are
+        # neighbours in memory. Below, the two ends of each pair are combined into one row of four indices: the rows of
+        # both bodies, then the rows of both forces.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, HostArray] = {
             "rounds": self._rounds,

@@ -52,7 +52,11 @@ class StationLog:
         self.samples.append(measured(self.stations, model, state, travel))
 
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the means over the chosen samples by column; NaN in slices that were not full in every sample."""
+        """Return a table by column name: place and radius of each slice of the pipe, and mean measured values.
+
+        Each column has the shape (slices,). Measured values are means over the chosen samples. They are NaN in slices
+        that concrete did not fill in every chosen sample.
+        """
         found = np.mean(np.array(self.samples)[chosen], axis=0)
         stations = self.stations
         table = {"place": stations.places - stations.origin, "radius": stations.bores.at(stations.places)}

@@ -1,4 +1,4 @@
-"""Display, for recorders, of a flow through a part of a pump line: the concrete and a transparent wall."""
+"""Display of a flow through a part of a pump line. Recorders draw the concrete and a transparent wall."""
 
 from functools import cached_property
 from typing import ClassVar

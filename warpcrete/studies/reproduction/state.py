@@ -25,8 +25,11 @@ class Reproduction:
     """Columns of the report whose runs are made: concretes, and assumptions that the paper leaves open. An empty tuple
     stands for all of them."""
     rows: tuple[str, ...] = ()
-    """Groups of runs to make in each column of the report. The group `units` stands for the runs of the pipe units, and
-    the name of a parameter stands for the runs in which this parameter varies. An empty tuple stands for all groups."""
+    """Names of the groups of runs to make with the concrete or assumption of each column of the report.
+
+    The group `units` contains the runs of the paper's four pipe units: a vertical pipe, a horizontal pipe and two
+    bends. Each other group is a :class:`Row`, in which one parameter varies. An empty tuple stands for all groups.
+    """
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)

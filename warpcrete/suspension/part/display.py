@@ -1,4 +1,7 @@
-"""Display, for recorders, of a part of a pump line: mortar behind the axis, all aggregates, and a transparent wall."""
+"""Display of mortar with aggregates in a part of a pump line.
+
+Recorders draw all aggregates, a transparent wall, and the mortar in the half of the pipe that is away from the camera.
+"""
 
 import numpy as np
 
@@ -13,7 +16,7 @@ from .scene import PartSuspensionScene
 class PartSuspensionDisplay(SphereDisplay, PartDisplay):
     """Display of mortar with aggregates in a part of a pump line.
 
-    The mortar in front of the middle of the pipe is left out, so that the aggregates in it are visible.
+    The mortar in the half of the pipe that faces the camera is left out, so that the aggregates in it are visible.
     """
 
     @property
@@ -26,7 +29,10 @@ class PartSuspensionDisplay(SphereDisplay, PartDisplay):
         return float(self._suspension.axis.at(0.0)[0][0, 1])
 
     def surface(self, cut: bool = False) -> Surface:
-        """Return the surfaces of mortar and aggregates; with `cut`, only aggregates behind the cutting plane."""
+        """Return the surfaces of mortar and aggregates; with `cut`, only aggregates beyond the cutting plane.
+
+        Beyond means on the side that is away from the camera.
+        """
         mortar = super().surface(True)
         return self.derived(("with aggregates", cut), lambda: self._with_aggregates(mortar, cut))
 

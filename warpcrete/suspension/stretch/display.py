@@ -1,4 +1,7 @@
-"""Display, for recorders, of a stretch of pipe: mortar behind the axis, all aggregates, and a transparent wall."""
+"""Display of mortar with aggregates in a stretch of pipe.
+
+Recorders draw all aggregates, a transparent wall, and the mortar in the half of the pipe that is away from the camera.
+"""
 
 from functools import cached_property
 from typing import ClassVar
@@ -24,7 +27,7 @@ WALL_GAP = 0.03
 class StretchDisplay(SphereDisplay):
     """Display of a stretch of pipe: mortar coloured by speed, by shear rate or by pressure.
 
-    The mortar in front of the axis is left out, so that the aggregates in it are visible.
+    The mortar in the half of the pipe that faces the camera is left out, so that the aggregates in it are visible.
     """
 
     colourings: ClassVar = ("speed", "shear", "pressure")
@@ -54,7 +57,10 @@ class StretchDisplay(SphereDisplay):
         return self._gap
 
     def surface(self, cut: bool = False) -> Surface:
-        """Return the surfaces of mortar and aggregates; with `cut`, only aggregates behind the cutting plane."""
+        """Return the surfaces of mortar and aggregates; with `cut`, only aggregates beyond the cutting plane.
+
+        Beyond means on the side that is away from the camera.
+        """
         mortar = super().surface(True)
         return self.derived(("with aggregates", cut), lambda: self._with_aggregates(mortar, cut))
 
