@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Iterable
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
-from typing import NoReturn
+from typing import NoReturn, cast
 
 import numpy as np
 
@@ -232,10 +232,11 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 def whole(field: str, value: object, lower: int, upper: int | None = None) -> None:
     """Raise :class:`SceneError` unless `value` is a whole number in [lower, upper], or at least `lower` if there is no
     `upper`."""
-    fits = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= lower
-    if not fits or (upper is not None and value > upper):
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    count = int(cast(int, value)) if is_whole else None
+    if count is None or count < lower or (upper is not None and count > upper):
         span = f"of at least {lower}" if upper is None else f"from {lower} to {upper}"
-        refuse(field, value, f"must be a whole number {span}")
+        refuse(field, cast(object, value), f"must be a whole number {span}")
 
 
 def callback(field: str, value: object) -> None:

@@ -220,7 +220,8 @@ def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
         if old == new or name == "checkpoint_every":
             continue
         if name == "files":
-            changed = [file for file in dict.fromkeys([*(old or {}), *new]) if (old or {}).get(file) != new.get(file)]
+            before, after = old or {}, new or {}
+            changed = [file for file in dict.fromkeys([*before, *after]) if before.get(file) != after.get(file)]
             return f"its file '{changed[0]}' differs"
         if not isinstance(old, dict) or not isinstance(new, dict):
             return f"its {name} is {json.dumps(old)} instead of {json.dumps(new)}"

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
@@ -148,11 +148,12 @@ def _refuse_entry(path: Path, name: str, value: object) -> NoReturn:
 
 def folder_path(field: str, value: object) -> Path:
     """Return the path of a folder; raises :class:`SceneError` about `field` if `value` cannot be a path."""
-    if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
-        refuse(field, value, "must be the path of a folder, as text or a pathlib.Path")
-    if "\0" in os.fspath(value):
-        refuse(field, os.fspath(value), "contains a NUL character", "remove it")
-    return Path(value)
+    path: object = os.fspath(cast(os.PathLike[str], value)) if isinstance(value, os.PathLike) else value
+    if not isinstance(path, str):
+        refuse(field, cast(object, value), "must be the path of a folder, as text or a pathlib.Path")
+    if "\0" in path:
+        refuse(field, path, "contains a NUL character", "remove it")
+    return Path(path)
 
 
 def check_new(folder: Path) -> None:
