@@ -76,7 +76,7 @@ def test_a_list_of_commands_holds_whole_sentences_and_the_titles_of_scenes():
         return re.sub(r"\s+", " ", CliRunner().invoke(cli, words).output)
 
     assert "calibrate Find a concrete's parameters from measured results explain" in squeezed("--help")
-    assert "so that its first run starts at once; without a name, those of all scenes" in squeezed("--help")
+    assert "of each SCENE, by default of all scenes, so that its first run starts at once" in squeezed("--help")
     page = squeezed("run", "--help")
     for name, module in modules().items():
         assert f" {name} {module.__doc__.splitlines()[0]}" in page
