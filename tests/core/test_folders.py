@@ -23,7 +23,7 @@ from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.record.loading import is_finished
 from warpcrete.record.output import SETTINGS
-from warpcrete.record.run_folder import TableRecorder
+from warpcrete.record.run_folder import TableRecorder, _difference
 from warpcrete.studies.calibration.calibrate import resume_calibration
 from warpcrete.studies.reproduction.reproduce import resume_reproduction
 
@@ -133,6 +133,7 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
     (folder / "scene.json").write_text(json.dumps(record | {"files": {"bore.stl": "0"}}), encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"another run \(its file 'bore.stl' differs\)"):
         again.begin(folder / "checkpoint.npz")
+    assert _difference({"files": None, "scene": "tube"}, {"files": {}, "scene": "tube"}) == ""
 
 
 def test_a_run_that_never_began_leaves_an_empty_folder_empty(tmp_path):

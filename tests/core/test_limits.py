@@ -1,5 +1,6 @@
 """Tests of possible and usual values: every parameter of every scene, options, files, and the words of messages."""
 
+import math
 import re
 import warnings
 
@@ -417,6 +418,6 @@ def test_dimensions_of_what_is_not_there_give_a_warning(scene, given, words):
 def test_threads_are_at_least_one_and_at_most_the_cores(monkeypatch):
     monkeypatch.setattr("warpcrete.core.device.device.os.cpu_count", lambda: 4)
     assert [checked_threads(count) for count in (1, 4)] == [1, 4]
-    for wrong in (-1, 0, 5):
+    for wrong in (-1, 0, 5, 2.5, math.nan, math.inf):
         with pytest.raises(SceneError, match=rf"^threads = {wrong}: must be in \[1, 4\]"):
             checked_threads(wrong)

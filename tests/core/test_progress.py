@@ -2,9 +2,11 @@
 
 import re
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
+import tqdm.auto
 from pumping import command_process
 
 from warpcrete import scenes
@@ -137,18 +139,23 @@ def test_a_log_of_fast_work_gets_at_most_a_line_a_second(clock, capsys):
     assert lines_of(capsys) == ["running: 50 %, 00:01 elapsed, about 00:01 left", "running: 100 %, 00:02 elapsed"]
 
 
-@pytest.mark.parametrize("where", ["terminal", "notebook"])
+@pytest.mark.parametrize("where", ["terminal", "notebook", "disabled"])
 def test_terminals_and_notebooks_get_a_bar(where, monkeypatch, capsys):
-    if where == "terminal":
-        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    else:
+    if where == "notebook":
         shell = SimpleNamespace(config={"IPKernelApp": {}})
         monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    else:
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     bar = ProgressBar()
     monkeypatch.undo()
+    if where == "disabled":  # as by the environment variable TQDM_DISABLE
+        monkeypatch.setattr("tqdm.auto.tqdm", partial(tqdm.auto.tqdm, disable=True))
     bar("running", 0.5, {"pressure": 2000.0})
     bar.close()
     text = capsys.readouterr().err
+    if where == "disabled":
+        assert text == ""
+        return
     assert "\r" in text and re.search(r"running +50% \|.*pressure=2.0 kPa", text)
 
 

@@ -1,6 +1,7 @@
 """Runs as Python has them: read back from a folder, quantities by name, tables, plots, the viewer."""
 
 import copy
+import dataclasses
 import json
 import os
 import pickle
@@ -229,6 +230,8 @@ def test_printed_series_and_results_are_summaries(ran):
     assert repr(Columns({"wear": np.zeros(0)}, {})).splitlines()[0] == "1 column of 0 rows"
     assert repr(ran.series).startswith(f"{len(ran.series)} columns of {len(ran.series['time'])} samples\ncolumn")
     table = Table({"place": np.array([1.0]), "name": np.array(["hose"])}, {"place": "m"})
+    copied = dataclasses.asdict(table)
+    assert list(copied["columns"]) == ["place", "name"] and copied["units"] == {"place": "m"}
     assert repr(table).startswith("2 columns of 1 row\n") and "hose" in table._repr_html_()
     lines = dict(line.split("  ", 1) for line in repr(ran.result).splitlines())
     assert lines["pressure"].strip() == repr(ran["pressure"]) and lines["provenance.device"].strip() == "cpu"

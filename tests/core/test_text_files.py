@@ -117,6 +117,8 @@ def test_tabs_at_the_ends_of_lines_mean_nothing_and_other_tabs_are_named(tmp_pat
     assert read_mapping(written(tmp_path, "a: 1 \t\r\nb:\t\n  - c \t \n\t\nd: 'e f'\t"), "it") == {
         "a": 1, "b": ["c"], "d": "e f",
     }  # fmt: skip
+    # Other separators of lines stay as well.
+    assert read_mapping(written(tmp_path, "a: 'e\u2028f'\t\rb: g\t"), "it") == {"a": "e\u2028f", "b": "g"}
     with pytest.raises(SceneError, match=r"line 2.*write spaces instead of tabs"):
         read_mapping(written(tmp_path, "a:\n\t- 1\n"), "it")
 

@@ -195,7 +195,7 @@ def _new_study(
 ) -> Study:
     check_scene(scene, modules)
     module = modules[scene]
-    lists = parameter_values(module, options)
+    lists = parameter_values(module, options, ("processes",))
     return run_study(
         scene,
         module,
@@ -225,14 +225,20 @@ def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]
     return found
 
 
-def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, list[Any]]:
+def parameter_values(
+    module: Any, options: dict[str, list[str]], settings: tuple[str, ...] = ()
+) -> dict[str, list[Any]]:
+    """Return the values of the scene's parameters that `options` gives as words, by the parameters' names.
+
+    The refusal of an unknown parameter may suggest one of `settings`, the related options of the command.
+    """
     known = fields_of(module, options)
     found: dict[str, list[Any]] = {}
     for option, words in options.items():
         negative = option.startswith("no-") and option[3:].replace("-", "_") in known
         name = (option[3:] if negative else option).replace("-", "_")
         if name not in known:
-            meant = suggested(name, (*known, *(("processes",) if name == "threads" else ())))
+            meant = suggested(name, (*known, *settings))
             meant = meant.replace("_", "-").replace("'", "")
             raise click.UsageError(
                 f"--{option}: is not a parameter of this scene; "

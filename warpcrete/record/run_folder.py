@@ -222,6 +222,8 @@ def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
         if name == "files":
             before, after = old or {}, new or {}
             changed = [file for file in dict.fromkeys([*before, *after]) if before.get(file) != after.get(file)]
+            if not changed:  # One record has no entry for files, and the other has an empty one.
+                continue
             return f"its file '{changed[0]}' differs"
         if not isinstance(old, dict) or not isinstance(new, dict):
             return f"its {name} is {json.dumps(old)} instead of {json.dumps(new)}"

@@ -134,7 +134,7 @@ def checked_threads(threads: int | None) -> int:
     if threads is None:
         return default_threads()
     cores = os.cpu_count() or 1
-    if not is_number(threads) or int(threads) != threads or not 1 <= threads <= cores:
+    if not is_number(threads) or not 1 <= threads <= cores or int(threads) != threads:
         refuse("threads", threads, f"must be in [1, {cores}], the number of cores of this machine")
     return int(threads)
 

@@ -27,6 +27,7 @@ LONGEST_NUMBER = 400
 INTEGER_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 DECIMAL_PATTERN = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 NOT_A_NUMBER = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+TRAILING_BLANKS = re.compile(r"(?<![ \t])[ \t]+(?=\r|$)", re.MULTILINE)
 WORDS: dict[str, bool | None] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
     **dict.fromkeys(("true", "True", "TRUE"), True),
@@ -116,10 +117,7 @@ def _without_trailing_tabs(text: str) -> str:
 
     This also changes texts of several lines, in which blanks at the ends of lines mean nothing to this program.
     """
-    if "\t" not in text:
-        return text
-    lines = text.splitlines(keepends=True)
-    return "".join(line.rstrip() + line[len(line.rstrip("\r\n")) :] for line in lines)
+    return TRAILING_BLANKS.sub("", text) if "\t" in text else text
 
 
 class _Values:

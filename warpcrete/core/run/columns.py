@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,8 +16,16 @@ HEAD = ("column", "unit", "first", "last", "smallest", "largest")
 class Columns(dict[str, np.ndarray]):
     """Columns of equal length by name, as arrays. Printing them shows a summary, with one line for each column."""
 
-    def __init__(self, columns: Mapping[str, np.ndarray], units: Mapping[str, str], row: str = "row") -> None:
-        """Create a copy of `columns` with their `units`; `row` names one row in the summary, such as "sample"."""
+    def __init__(
+        self,
+        columns: Mapping[str, np.ndarray] | Iterable[tuple[str, np.ndarray]],
+        units: Mapping[str, str] = MappingProxyType({}),
+        row: str = "row",
+    ) -> None:
+        """Create a copy of `columns` with their `units`; `row` names one row in the summary, such as "sample".
+
+        `dataclasses.asdict` copies a mapping from its items alone, and such a copy has no units.
+        """
         super().__init__(columns)
         self._units, self._row = units, row
 

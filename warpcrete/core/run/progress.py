@@ -108,7 +108,8 @@ class ProgressBar:
 
             layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
             self._bar = tqdm(total=1.0, initial=phase.first, desc=phase.name, bar_format=layout)
-            self._bar.start_t -= now - phase.start
+            if not self._bar.disable:  # A bar that TQDM_DISABLE=1 disables keeps no times.
+                self._bar.start_t -= now - phase.start
         elif fraction < 1.0 and now - phase.shown < REDRAW_INTERVAL:
             return
         phase.shown = now
