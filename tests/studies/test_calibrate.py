@@ -107,6 +107,37 @@ def test_standard_tests_as_flows_have_coarse_runs_and_other_scenes_have_none():
     assert coarse_changes(task_of(own, modules()), modules()) == {}
 
 
+def test_coarse_cells_would_change_aggregates():
+    slump = {"scene": "slump", "parameters": {"concrete": "own", "density": 2350.0, "yield_stress": 60.0,
+                                              "aggregate_fraction": 0.2, "lift_time": 0.0}}  # fmt: skip
+    here = task_of(task(("viscosity",), asked(slump, "spread", 0.5)), modules())
+    assert coarse_changes(here, modules()) == {}
+
+
+def test_a_target_that_no_first_full_run_reaches_ends_no_calibration(tmp_path, monkeypatch):
+    """Coarse runs reach it, so other full runs may reach it as well, and those are still allowed."""
+    by_theory, full = by_closed_form(0.0), []
+
+    def run_round(found, scenes, place, trials, *rest):
+        by_theory(found, scenes, place, trials, *rest)
+        for trial in trials:
+            if not trial.coarse and not trial.proof:
+                full.append(trial)
+                if len(full) <= 4:
+                    trial.values.clear()
+        return True
+
+    monkeypatch.setattr(SEARCH, "run_round", run_round)
+    raw = task(("yield_stress",), asked(SLUMP, "spread", 1.0, "2%"))
+    raw["targets"][0]["parameters"] = {**SLUMP["parameters"], "viscosity": 30.0}
+    (raw["targets"][0]["value"],) = truth_of(raw, {"yield_stress": 70.0})
+    found = calibrate(raw, out=tmp_path / "out", device="cpu", trials=20)
+    assert found.finished and found.best["yield_stress"] == pytest.approx(70.0, rel=0.05)
+    record = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
+    assert record["rounds"][0]["coarse"] == [{"spacing": 2 * scenes.slump().spacing}]
+    assert json.loads((tmp_path / "out" / "answer.json").read_text(encoding="utf-8"))["coarse_trials"] == 12
+
+
 def test_few_full_runs_correct_an_emulator_that_coarse_runs_have_taught():
     """The full result is that of coarse runs plus a plane. Four full runs without coarse ones know much less."""
 

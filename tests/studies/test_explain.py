@@ -213,10 +213,11 @@ def test_savings_are_those_of_settings_that_the_scene_shares_with_the_trade(tmp_
 
 
 def test_a_wrong_trade_is_refused_before_the_measurements(tmp_path, monkeypatch):
-    def measured(scene):
+    def measured(*rest):
         raise AssertionError("measured in spite of a wrong trade")
 
-    monkeypatch.setattr("warpcrete.studies.tradeoffs.explain.method_of", measured)
+    method = SimpleNamespace(forecast=measured)
+    monkeypatch.setattr("warpcrete.studies.tradeoffs.explain.method_of", lambda scene: method)
     damaged = ({"points": [{}, {}]}, {"points": 3}, {"points": [1, 2]}, {"points": {"a": 1}})
     for record, kind, words in (
         ({"scene": "pipe"}, SceneError, "must be a trade of the scene 'channel', but belongs to the scene 'pipe'"),

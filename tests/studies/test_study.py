@@ -239,6 +239,16 @@ def test_a_parameter_is_held_or_varied(tmp_path):
     assert cases_of({}, {"velocity": [0.1]}, seeded=False)[0].parameters == {"velocity": 0.1}
 
 
+def test_idle_parameters_are_left_out_of_repeated_cases(tmp_path, monkeypatch):
+    """A parameter that has no effect in some cases is left out of these, also if the cases are repeated."""
+    monkeypatch.setattr("warpcrete.studies.study.run_listed", lambda name, module, cases, **rest: cases)
+    pipe, varied = scene_modules()["pipe"], {"bonds": [False, True], "hydration": [0.1, 0.2]}
+    for repeat in (1, 2):
+        cases = run_study("pipe", pipe, varied, base=BASE, out=tmp_path / "out", repeat=repeat, device="cpu")
+        assert {"hydration" in case.parameters for case in cases if not case.varied["bonds"]} == {False}
+        assert all("hydration" in case.parameters for case in cases if case.varied["bonds"])
+
+
 def test_a_flow_without_aggregates_is_not_repeated_with_other_seeds(tmp_path):
     """Such a scene has a seed, but equal results for every seed, which would look like a scatter of zero."""
     slump = scene_modules()["slump"]

@@ -89,9 +89,10 @@ answer.json, concrete.yaml (for --concrete), and all runs.
        held_out: true}}
 
 \b
-  --trials N             maximum number of trials, each of which runs all scenes; runs that verify the answer
-                         do not count                                    [default: 10 + 10 per parameter]
-  --batch N              number of trials that run at the same time      [default: 4 + 2 per parameter]
+  --trials N             maximum number of trials, each of which runs all scenes; coarse trials at the beginning
+                         and runs that verify the answer do not count    [default: 10 + 10 per parameter]
+  --batch N              number of trials in a round; half of it after coarse trials, which are twice as many
+                                                                         [default: 4 + 2 per parameter]
   --repeat N             number of seeds of the final check              [default: 3]
   --seed N               seed of the search                              [default: 0]
   --out FOLDER           new folder                                      [default: runs/calibration-NNN]

@@ -84,13 +84,14 @@ def run_study(
     cases = cases_of(
         given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time, seeded="seed" in known
     )
+    cases = _without_idle_parameters(module.scene, cases)
     if repeat > 1 and not any(is_random(module.scene(**case.parameters)) for case in cases):
         hint = "leave out 'repeat', or simulate aggregates"
         refuse(
             "repeat", repeat, "must be 1, because nothing in this scene is random: all seeds give equal results", hint
         )
     return run_listed(
-        scene_name, module, _without_idle_parameters(module.scene, cases), out=out, device=device, precision=precision,
+        scene_name, module, cases, out=out, device=device, precision=precision,
         processes=processes, frames=frames, checkpoint_every=checkpoint_every, scheduler=scheduler, workers=workers,
         progress=progress, units=units, **recorders,
     )  # fmt: skip

@@ -42,6 +42,9 @@ ROUGH_ERROR, CERTAIN = 3e-2, 0.9
 error of the solve falls below ROUGH_ERROR. The velocities are not yet accurate then, so a pair counts as a contact only
 if it would overlap even at the fraction CERTAIN of its speed of approach. In 50 steps of five flows, no pair was put in
 contact that would not have been in contact after the solve."""
+KEPT_DIRECTIONS = 60
+"""Largest number of search directions that a repeated solve takes over from the solve before it. With more directions,
+their memory and the work to orthogonalise them would grow with each repetition."""
 CHECKED = {"cpu": 1, "gpu": 5}
 """Number of iterations of a viscous solve between two checks of its convergence. A check makes the host wait for the
 GPU."""
@@ -291,7 +294,7 @@ class CoupledSolve:
         self._launch(self.pairs.touch, self.count, change=self.solution, certain=certain)
         if not changed.numpy()[0]:
             return False
-        if directions.known > self.tolerances.outer:
+        if directions.known > KEPT_DIRECTIONS:
             directions.known = 0
         for _, count, changes, effects in directions.before(directions.known):
             self._launch(self.pairs.stiffen, self.count, count=count, change=changes, effect=effects)

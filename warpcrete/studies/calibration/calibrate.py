@@ -82,8 +82,9 @@ def run_calibration(
     """Find the parameters of the scenes in `modules` that reproduce `targets`, a file or a mapping.
 
     Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
-    for each free parameter); verification runs are made in addition. `batch` is the number of sets in one round
-    (default: 4, plus 2 for each free parameter). `repeat` is the number of verification runs of the likeliest
+    for each free parameter); coarse trials, twice `batch`, and verification runs are made in addition. `batch` is the
+    number of sets in one round (default: 4, plus 2 for each free parameter); after coarse trials, a round has half as
+    many. `repeat` is the number of verification runs of the likeliest
     parameters, each with another seed; if no scene depends on a random seed, the likeliest parameters are simulated
     once. Raises :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError` if all
     runs that should yield the value of a target fail.
@@ -126,7 +127,8 @@ def resume_calibration(
 ) -> Calibration:
     """Continue a calibration and reuse its finished runs.
 
-    If `trials` is given, it is the new limit for the number of parameter sets, including those already run.
+    If `trials` is given, it is the new limit for the number of parameter sets, including the sets already run, but
+    not the coarse trials.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     if trials is not None:
@@ -165,8 +167,11 @@ def _continue(
     record = _record(folder)
     task = task_of(record["targets"], modules)
     calibration = Calibration(folder, task, record)
-    if not record["rounds"] or record["rounds"][0].get("coarse"):
+    if not record["rounds"]:
         calibration.coarsened = coarse_changes(task, modules)
+    else:
+        changes = record["rounds"][0].get("coarse", [])
+        calibration.coarsened = {group[0].key: each for group, each in zip(task.groups, changes) if each}
     where = dict(processes=processes, scheduler=scheduler, workers=workers)
     try:
         _search(calibration, modules, where, progress or (lambda phase, fraction, figures: None))
@@ -199,7 +204,7 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
             write_json(calibration.folder / RECORD, calibration.record)
         each = rounds[place]
         trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"],
-                        each.get("coarse", False))
+                        "coarse" in each)
                   for k, units in enumerate(each["units"])]  # fmt: skip
         # Compute the progress of the whole calibration. The total is the number of permitted trials plus the number of
         # verification runs. If the search needs fewer trials, the verification runs count as the whole remaining work.
@@ -312,6 +317,12 @@ def _results(calibration: Calibration, trials: Sequence[Trial]) -> tuple[np.ndar
     return np.array([trial.units for trial in trials]), values
 
 
+def _doubtful(calibration: Calibration, trials: Sequence[Trial]) -> dict[Target, np.ndarray]:
+    """Return by target which values of some trials come from runs that failed checks, shape (n,)."""
+    targets = calibration.task.targets
+    return {target: np.array([target in trial.doubtful for trial in trials], dtype=bool) for target in targets}
+
+
 def _learn_from_coarse_trials(calibration: Calibration, seed: int) -> None:
     """Compute the posterior that proposes the first full trials, if enough coarse trials have yielded every target."""
     points, values = _results(calibration, calibration.coarse)
@@ -331,6 +342,8 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
     for target in calibration.task.fitted:
         count = int(np.isfinite(values[target]).sum())
         why = next((trial.failure for trial in searched if trial.failure), "the scene does not measure it there")
+        if count == 0 and calibration.coarse and len(searched) < calibration.record["settings"]["trials"]:
+            return
         if count == 0:
             raise WarpcreteError(
                 f"the {target.label} is missing in all {len(searched)} runs; reason in the first run: "
@@ -344,11 +357,12 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
                 f"without it: {why}; use other ranges under 'vary', or continue with more trials"
             )
     before = calibration.posterior
-    doubtful = {target: np.array([target in trial.doubtful for trial in searched]) for target in values}
+    doubtful = _doubtful(calibration, searched)
     learned: dict[str, Any] = {}
     if calibration.coarse:
         coarsened = [target for target in values if target.key in calibration.coarsened]
-        learned["coarse"] = CoarseRuns(*_results(calibration, calibration.coarse), coarsened)
+        doubts = _doubtful(calibration, calibration.coarse)
+        learned["coarse"] = CoarseRuns(*_results(calibration, calibration.coarse), doubts, coarsened)
     calibration.posterior = now = posterior(calibration.task, points, values, seed, doubtful, **learned)
     emulator_error_ratio = max(now.emulator_error_ratio(target) for target in calibration.task.fitted)
     moved = math.inf

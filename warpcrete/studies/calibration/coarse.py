@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...core.errors import SceneError
+from ..cases import is_random
 from .targets import Target, Task
 
 COARSENING = (2.0, 1.5)
@@ -18,8 +19,8 @@ def coarse_changes(task: Task, modules: Mapping[str, Any]) -> dict[str, dict[str
     """Return the changed parameters of the coarse runs, by the key of each group of targets that has coarse runs.
 
     Only standard tests that are simulated as flows on a grid have coarse runs, because other scenes of a calibration
-    take seconds, or have no cells. A group that varies the cell width, that has wide cells already, or whose scene
-    refuses wider cells has none either.
+    take seconds, or have no cells. Flows with aggregates have none, because wider cells would change the aggregates. A
+    group that varies the cell width, that has wide cells already, or whose scene refuses wider cells has none either.
     """
     found = {}
     for target, *_ in task.groups:
@@ -38,7 +39,7 @@ def _changes(task: Task, target: Target, modules: Mapping[str, Any]) -> dict[str
     given = [task.parameters(target, task.values(point), module) for point in points]
     scene = module.scene(**given[0])
     spacing = getattr(scene, "spacing", None)
-    if spacing is None or getattr(scene, "test", None) is None:
+    if spacing is None or getattr(scene, "test", None) is None or is_random(scene):
         return {}
     widest = WIDEST * module.scene(**{k: value for k, value in given[0].items() if k != "spacing"}).spacing
     for ratio in COARSENING:

@@ -167,6 +167,8 @@ class CoarseRuns:
     """Free parameters of the runs, each scaled to 0 to 1 over its range, shape (n, free)."""
     values: Mapping[Target, np.ndarray]
     """Results for each target, shape (n,), with NaN for failed runs."""
+    doubtful: Mapping[Target, np.ndarray]
+    """True for values from runs that failed checks, by target, shape (n,)."""
     coarsened: Collection[Target]
     """Targets whose scene had wider cells in these runs. For all other targets, these runs equal full runs."""
 
@@ -242,9 +244,10 @@ def _emulator(
     there = np.isfinite(coarse.values[target])
     others, found = coarse.points[there], coarse.values[target][there]
     if target not in coarse.coarsened:
-        together = np.concatenate([extra, np.zeros(len(found))])
+        together = np.concatenate([extra, target.uncertainty * coarse.doubtful[target][there]])
         return Emulator(np.concatenate([points, others]), np.concatenate([values, found]), least, together)
-    if len(found) < 3:
+    if len(found) < 3 or len(values) >= len(found):
+        # As many full runs as coarse ones know more without them: the error of the coarse emulator would remain.
         return Emulator(points, values, least, extra)
     return TwoLevelEmulator(Emulator(others, found, least), points, values, least, extra)
 

@@ -96,6 +96,7 @@ def answer(found: Calibration) -> dict[str, Any]:
         "finished": found.finished,
         "settled": found.settled,
         "trials": len(found.searched),
+        "coarse_trials": len(found.coarse),
         "parameters": {
             free.name: {
                 "likeliest": found.best[free.name],

@@ -31,8 +31,8 @@ def next_round(
     """Return the next round as a mapping, or None if no round is left.
 
     Its entry `units` holds the parameter sets, each parameter scaled to 0 to 1 over its range, and `seeds` one seed for
-    each set. `proof` is True if the round verifies the likeliest parameters, and `coarse` if its flows have wide cells.
-    `left` is the number of trials that may still run.
+    each set. `proof` is True if the round verifies the likeliest parameters. A coarse round also has the entry
+    `coarse`, the changed parameters of each group of targets. `left` is the number of trials that may still run.
     """
     begun = settings["seed"] + len(calibration.trials)
     if calibration.posterior is not None and (calibration.settled or left <= 0):
@@ -42,9 +42,11 @@ def next_round(
         return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": True}
     if left <= 0:
         return None
-    batch, coarse = settings["batch"], False
+    batch = settings["batch"]
+    coarse: dict[str, Any] = {}
     if calibration.coarsened and not calibration.coarse:
-        units, coarse = _first_points(calibration, 2 * batch, settings, modules), True
+        units = _first_points(calibration, 2 * batch, settings, modules)
+        coarse = {"coarse": [calibration.coarsened.get(group[0].key, {}) for group in calibration.task.groups]}
     elif calibration.guide is None:
         count = min(batch, left)
         count = min(max(count, 2 * count - len(calibration.trials)), left)
@@ -53,8 +55,7 @@ def next_round(
         # After coarse trials, few full ones are needed at a time, because the coarse ones have taught the emulator.
         count = max(batch // 2, MIN_VALUES + 1) if calibration.coarse else batch
         units = _next_points(calibration, min(count, left), begun)
-    found = {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": False}
-    return found | ({"coarse": True} if coarse else {})
+    return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": False} | coarse
 
 
 def _first_points(
