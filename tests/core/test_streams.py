@@ -13,7 +13,7 @@ from warpcrete.cli.console import prepare_streams
 from warpcrete.core.device import device
 from warpcrete.core.device.interrupts import StopAtSample
 from warpcrete.core.device.kernel_files import kernel_cache_errors
-from warpcrete.core.errors import DeviceError
+from warpcrete.core.errors import DeviceError, DiskFullError
 from warpcrete.core.run.progress import ProgressBar
 from warpcrete.studies.api import study_progress
 
@@ -82,9 +82,9 @@ def test_a_kernel_cache_that_cannot_be_written_is_named(monkeypatch):
         raise PermissionError(13, "Permission denied", "/cache/1.19.0")
 
     monkeypatch.setattr(device.wp, "init", refuse)
-    with pytest.raises(DeviceError, match=r"kernel cache = '/cache/1\.19\.0'.*WARP_CACHE_PATH"):
+    with pytest.raises(DeviceError, match=r"kernel cache = '/cache/1\.19\.0': cannot be used .*WARP_CACHE_PATH"):
         device.quiet_init()
-    with pytest.raises(DeviceError, match="No space left"), kernel_cache_errors():
+    with pytest.raises(DiskFullError, match=r"cannot be written \(No space left"), kernel_cache_errors():
         raise OSError(28, "No space left on device")
 
 

@@ -1,6 +1,7 @@
 """Errors of the package; each message is one line that names field, value, what is allowed and what to try."""
 
 import difflib
+import errno
 import math
 import sys
 import warnings
@@ -23,6 +24,8 @@ the size."""
 MOST_NAMES_LISTED = 12
 """Maximum number of allowed names that an error message lists if it can also suggest the name that was probably meant.
 If there are more names, the message contains only the suggestion."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""System error numbers (errno) of a full disk, an exceeded quota, and a file larger than the process may write."""
 
 
 class WarpcreteError(Exception):
@@ -43,6 +46,11 @@ class RunFolderError(WarpcreteError):
 
 class DiskFullError(RunFolderError):
     """Error: a file could not be written because the disk is full, or because a quota or process limit is reached."""
+
+
+def is_full(error: BaseException) -> bool:
+    """Return whether a full disk, an exceeded quota or a process limit caused an error."""
+    return isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in FULL)
 
 
 class InstabilityError(WarpcreteError):

@@ -11,13 +11,23 @@ from pathlib import Path
 from typing import Any
 
 from ..core.device.device import find_device
-from ..core.errors import InstabilityError, RunFolderError, SceneError, between, callback, positive, quoted, refuse
+from ..core.errors import (
+    InstabilityError,
+    RunFolderError,
+    SceneError,
+    between,
+    callback,
+    is_full,
+    positive,
+    quoted,
+    refuse,
+)
 from ..core.inputs.amounts import written_unit
 from ..core.inputs.by_name import names_from_file
 from ..core.inputs.limits import check_limit
 from ..core.inputs.origin import check_files, check_named
 from ..core.inputs.parameters import CompositeRule, Needs
-from ..core.run.files import check_new, is_full, read_record, write_json
+from ..core.run.files import check_new, read_record, write_json
 from ..core.run.folders import locked_folder, new_folder
 from ..core.run.provenance import provenance
 from ..core.run.run import Run

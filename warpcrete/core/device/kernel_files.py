@@ -1,12 +1,13 @@
 """Files of the compiled kernels that a block of code uses, and errors in writing them."""
 
+import errno
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
 import warp as wp
 
-from ..errors import DeviceError
+from ..errors import DeviceError, DiskFullError, is_full
 from .arrays import KernelModule
 
 _open_blocks: list[set[KernelModule]] = []
@@ -31,16 +32,20 @@ def kernel_files() -> Generator[set[Path]]:
 
 @contextmanager
 def kernel_cache_errors() -> Generator[None]:
-    """Raise :class:`DeviceError` if the `with` block cannot write Warp's files of compiled kernels."""
+    """Raise :class:`DeviceError` if the `with` block cannot read or write Warp's files of compiled kernels.
+
+    A full disk raises :class:`DiskFullError` instead, which also ends a run as a full disk.
+    """
     try:
         yield
     except OSError as error:
-        raise DeviceError(kernel_cache_problem(error)) from error
+        raise (DiskFullError if is_full(error) else DeviceError)(kernel_cache_problem(error)) from error
 
 
 def kernel_cache_problem(error: OSError) -> str:
-    """Return a message on an error in writing Warp's files of compiled kernels."""
-    return (f"kernel cache = '{error.filename or wp.config.kernel_cache_dir}': cannot be written "
+    """Return a message on an error in reading or writing Warp's files of compiled kernels."""
+    verb = "written" if is_full(error) or error.errno == errno.EROFS else "used"
+    return (f"kernel cache = '{error.filename or wp.config.kernel_cache_dir}': cannot be {verb} "
             f"({error.strerror or error}); set the environment variable WARP_CACHE_PATH to a folder in which files can "
             "be written")  # fmt: skip
 

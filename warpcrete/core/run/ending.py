@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
-from ..errors import ConvergenceError, InstabilityError, WarpcreteError, one_line
+from ..errors import ConvergenceError, InstabilityError, WarpcreteError, is_full, one_line
 from ..narrowing import is_dict
 from ..units import number, quantity
-from .files import is_full
 
 REASONS = {
     "travel": "the piston has completed its travel",

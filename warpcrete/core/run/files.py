@@ -11,12 +11,10 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 
-from ..errors import DiskFullError, RunFolderError, quoted, refuse
+from ..errors import DiskFullError, RunFolderError, is_full, quoted, refuse
 from ..inputs.text_files import read_json
 from ..narrowing import is_dict, is_list_or_tuple
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""System error numbers (errno) of a full disk, an exceeded quota, and a file larger than the process may write."""
 PARTIAL = ".warpcrete-partial-"
 """Prefix of the name of a file that is not complete yet; no other program uses this prefix."""
 PROBE_SIZE = 1 << 16
@@ -60,11 +58,6 @@ def cannot_write(path: Path, error: Exception) -> RunFolderError:
     reason = getattr(cause, "strerror", None) or " ".join(str(cause).split()) or type(cause).__name__
     kind = DiskFullError if is_full(cause) else RunFolderError
     return kind(f"'{path}': cannot be written ({reason}); files written so far are kept")
-
-
-def is_full(error: BaseException) -> bool:
-    """Return whether a full disk, an exceeded quota or a process limit caused an error."""
-    return isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in FULL)
 
 
 def space_error(folder: Path, needed: int = 0) -> OSError | None:

@@ -4,9 +4,8 @@ import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
-from ..errors import DiskFullError
+from ..errors import DiskFullError, is_full
 from .ending import failure
-from .files import is_full
 from .recorder import Recorder
 from .run import Run
 from .simulation_base import SimulationBase

@@ -15,13 +15,12 @@ import numpy as np
 from ..device.device import checked_threads, find_device, scalar_of
 from ..device.interrupts import terminate_as_interrupt
 from ..device.launching import report_compiling
-from ..errors import RunFolderError, SceneError, WarpcreteError, between, callback, positive, refuse
+from ..errors import RunFolderError, SceneError, WarpcreteError, between, callback, is_full, positive, refuse
 from ..units import number as number_of
 from . import checkpoint
 from .checkpointed import CheckpointedSimulation
 from .coroutines import Coroutine, run_coroutine
 from .ending import Ending, failure, interruption
-from .files import is_full
 from .frames import Frames
 from .output import CHECKPOINT, RunOutput, output_of, recorders_without_folder
 from .progress import Progress, ProgressBar, announce_compiling
