@@ -7,7 +7,7 @@ from typing import Any
 from ..core.errors import quoted, refuse, suggested
 from ..core.inputs.amounts import POUND, YARD, amount, is_amount, unit_names
 from ..core.inputs.limits import warn
-from .stones import is_size_number, named_sizes, size_numbers
+from .stones import is_size_number, named_sizes, size_numbers, sizes_with_unit
 
 HEAVY = {**dict.fromkeys(("barite", "baryte", "barytes"), 4200.0), **dict.fromkeys(("magnetite", "hematite"), 4900.0)}
 """Densities of heavy rocks [kg/m3]. An ingredient with such a word in its name, such as "barite sand", has the density
@@ -194,7 +194,7 @@ def is_coarse(name: str) -> bool:
     if any(word in COARSE for word in _words(name)):
         return True
     rock = _noun(name) in ("aggregate", "aggregates", "crushed") and "sand" not in _words(name)
-    return rock and named_sizes(name) is not None and re.search(r"\b0\s*[/-]", name) is None
+    return rock and named_sizes(name) is not None and re.search(r"\b0\s*(?:mm\s*)?(?:[-\u2013/]|to\b)", name) is None
 
 
 def _noun(name: str) -> str:
@@ -215,6 +215,7 @@ def _noun(name: str) -> str:
         return "filler"
     noun = ([word for word in known if word not in (*GENERAL, "water")] or known or [""])[-1]
     stony = "crushed" in known or re.search(r"\d\s*[/-]\s*[1-9]", name) is not None or size_numbers(name) != []
+    stony = stony or sizes_with_unit(name) is not None
     return "aggregate" if noun in ROCKS and stony and "powder" not in known else noun
 
 

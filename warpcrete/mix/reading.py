@@ -23,7 +23,7 @@ from .ingredients import (
     water_mass,
 )
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
-from .stones import SIZE_NUMBERS, named_sizes, read_shape, read_sieve, read_sizes, size_numbers
+from .stones import SIZE_NUMBERS, named_sizes, read_shape, read_sieve, read_sizes, size_numbers, sizes_with_unit
 
 T = TypeVar("T")
 PACKING = 0.57
@@ -133,7 +133,7 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
     if "sieve" in given:
         return None
     stones = [name for name in masses if is_coarse(name) or unusual_stones({name: 0.0}) is not None]
-    for number in (number for name in stones for number in size_numbers(name)):
+    for number in (number for name in stones if sizes_with_unit(name) is None for number in size_numbers(name)):
         if number not in SIZE_NUMBERS:
             warn(f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or add "
                  "'sizes'")  # fmt: skip

@@ -24,18 +24,30 @@ SIZE_NUMBERS = {
 }  # fmt: skip
 """Smallest and largest nominal size of coarse aggregate [m] by its size number (ASTM C33, grading requirements for
 coarse aggregates)."""
-MARKED = re.compile(r"(?:#|\b(?:no|number|size)\b\.?)\s*([0-9]+)s?\b", re.IGNORECASE)
-"""Pattern of a size number in the name of an ingredient, such as '#57', 'No. 57' or 'number 57'."""
+UNIT = r"(?:mm|cm|in\b|inch(?:es)?\b|[\"\u201d\u2033])"
+"""Pattern of a unit in which the name of an ingredient may state a size of stones."""
+SIZE = r"(?:(?:[1-3][ -])?[0-9]+/[0-9]+|[0-9]+(?:[.,][0-9]+)?)"
+"""Pattern of a size without its unit, such as '20', '9.5', '3/4' or '1 1/2'."""
+NO_AMOUNT = rf"(?!\s*(?:[-\u2013/]|to\b)\s*[0-9]|[.,][0-9]|\s*{UNIT})(?!(?<=\b[1-3])\s+[0-9]+/[0-9])"
+"""Pattern that fails after a number that belongs to a range, a decimal, a fraction or an amount with a unit, such as
+'5-20', '9.5', '1 1/2' or '20 mm'."""
+MARKED = re.compile(rf"(?:\bsize\s+)?(?:#|\b(?:no|number|size)\b\.?)\s*([0-9]+)s?\b{NO_AMOUNT}", re.IGNORECASE)
+"""Pattern of a size number in the name of an ingredient, such as '#57', 'No. 57' or 'number 57'. The number in 'size
+20 mm' is none."""
+BLEND = re.compile(r"#\s*([0-9]+)\s*[/-]\s*([0-9]+)\b")
+"""Pattern of two size numbers after one mark, as in '#57/67'."""
+RANGE = re.compile(rf"(?<![0-9./,])({SIZE})\s*({UNIT})?\s*([-\u2013/]|to\b)\s*({SIZE})\s*({UNIT})")
+"""Pattern of the smallest and the largest size with their unit in the name of an ingredient, such as '5-20 mm'."""
 SIEVES = re.compile(
-    r"(?<![0-9./,])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)(?![0-9/]|\s*(?:in|\"))"
+    r"(?<![0-9./,#])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)(?![0-9/]|\s*(?:in|\"))"
 )
 """Pattern of two sieves in millimetres in the name of an ingredient, such as '4/16'. A fraction of an inch, such as
 '3/8', is none."""
-LARGEST = re.compile(r"(?<![0-9./,-])(?:[0-9]+[ -])?[0-9]+(?:/[0-9]+|[.,][0-9]+)?\s*(?:mm|cm|in\b|inch|\")")
+LARGEST = re.compile(rf"(?<![0-9./,]){SIZE}\s*{UNIT}")
 """Pattern of a size with its unit in the name of an ingredient, such as '20 mm' or '3/4 in'."""
 STONES = r"\s+(?:(?:crushed|coarse|washed)\s+)*(?:stone|rock|limestone|granite|gravel|aggregate)s?\b"
 """Pattern of the words for stones that may follow a size number."""
-UNMARKED = re.compile(rf"\b([0-9]{{2,3}})s?{STONES}", re.IGNORECASE)
+UNMARKED = re.compile(rf"(?<![0-9.,/\u2013-])\b([0-9]{{2,3}})s?{STONES}", re.IGNORECASE)
 """Pattern of a number before a word for stones, as in '57 stone'. It is a size number only if it is a known one, and
 not one of a single digit, because '8 gravel' may mean 8 mm."""
 NUMBER_OF_STONES = re.compile(rf"([0-9]+)s?{STONES}", re.IGNORECASE)
@@ -47,8 +59,15 @@ def size_numbers(name: str) -> list[str]:
 
     A number with a mark, such as '#58', is included even if no size has this number.
     """
+    name = BLEND.sub(_marked_twice, name)
     plain = (f"#{found}" for found in UNMARKED.findall(name))
     return [*(f"#{found}" for found in MARKED.findall(name)), *(each for each in plain if each in SIZE_NUMBERS)]
+
+
+def _marked_twice(blend: re.Match[str]) -> str:
+    """Return a match of :data:`BLEND` with a mark before either number, or unchanged if a number is unknown."""
+    numbers = [f"#{each}" for each in blend.groups()]
+    return "/".join(numbers) if all(each in SIZE_NUMBERS for each in numbers) else blend[0]
 
 
 def is_size_number(name: str) -> bool:
@@ -56,23 +75,44 @@ def is_size_number(name: str) -> bool:
     return MARKED.fullmatch(name.strip()) is not None and size_numbers(name)[0] in SIZE_NUMBERS
 
 
+def sizes_with_unit(name: str) -> tuple[float, float] | None:
+    """Return the smallest and the largest size of stones [m] that a name states with a unit, or None.
+
+    The name may state a range ('gravel 5-20 mm') or only the largest size ('3/4 in rock', 'aggregate 20 mm').
+    """
+    name = name.lower()
+    for low, unit, joint, high, last in RANGE.findall(name):
+        ends = [f"{low} {unit or last}", f"{high} {last}"]
+        if (joint != "/" or last in ("mm", "cm")) and all(is_amount(each, "m") for each in ends):
+            smallest, largest = (amount("mix parts", each, "m") for each in ends)
+            if (found := _possible(smallest, largest)) is not None:
+                return found
+    texts = [found[0] for found in LARGEST.finditer(name) if is_amount(found[0], "m")]
+    sizes = [size for each in texts if 2 * SMALLEST <= (size := amount("mix parts", each, "m")) <= COARSEST]
+    return (SMALLEST, max(sizes)) if sizes else None
+
+
+def _possible(low: float, high: float) -> tuple[float, float] | None:
+    """Return the ends of a range of stone sizes [m], without sand, or None if stones cannot have this range."""
+    if not max(low, FINEST) < high <= COARSEST or high < 2 * SMALLEST:
+        return None
+    return low if low >= FINEST else SMALLEST, high
+
+
 def named_sizes(name: str) -> tuple[float, float] | None:
     """Return the smallest and the largest size of stones [m] that the name of an ingredient states, or None.
 
-    The name may state a size number ('#67 stone'), two sieves in millimetres ('gravel 4/16', 'limestone 5-20 mm'), or
-    the largest size with its unit ('3/4 in rock', 'aggregate 20 mm').
+    The name may state sizes with a unit (see :func:`sizes_with_unit`), which take precedence, a size number ('#67
+    stone'), or two sieves in millimetres ('gravel 4/16').
     """
+    if (stated := sizes_with_unit(name)) is not None:
+        return stated
     found = [SIZE_NUMBERS[number] for number in size_numbers(name) if number in SIZE_NUMBERS]
     if found:
         return min(low for low, _ in found), max(high for _, high in found)
     if (sieves := SIEVES.search(name)) is not None:
         low, high = (1e-3 * float(each.replace(",", ".")) for each in sieves.groups())
-        if max(low, FINEST) < high <= COARSEST and high >= 2 * SMALLEST:
-            return low if low >= FINEST else SMALLEST, high
-    if (largest := LARGEST.search(name)) is not None and is_amount(largest[0].strip(), "m"):
-        high = amount("mix parts", largest[0].strip(), "m")
-        if 2 * SMALLEST <= high <= COARSEST:
-            return SMALLEST, high
+        return _possible(low, high)
     return None
 
 
@@ -84,6 +124,8 @@ def sizes_by_number(field: str, text: str) -> tuple[float, float] | None:
     number = MARKED.match(text.strip()) or NUMBER_OF_STONES.match(text.strip())
     if number is None:
         return None
+    if (stated := sizes_with_unit(text)) is not None:
+        return stated
     one_of(field, f"#{number[1]}", SIZE_NUMBERS)
     return SIZE_NUMBERS[f"#{number[1]}"]
 
