@@ -50,6 +50,11 @@ def by_method(arguments: list[str]) -> list[str]:
     place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
     if place is None:
         raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
+    if any(not word.startswith("-") for word in left[place + 1 : place + 2]):
+        raise click.UsageError(
+            f"--method: applies to one scene; leave out '{left[place + 1]}', or write the full names of scenes without "
+            "--method, such as 'slump-dem lbox-dem'"
+        )
     scenes, name = importlib.import_module("warpcrete.scenes"), left[place]
     left[place] = scenes.by_method(name, method)
     known = {word.partition("=")[0] for word in left}
