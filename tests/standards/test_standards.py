@@ -1,8 +1,10 @@
 """A standard test of one's own: a record in one file, whose scene is measured, ended and reported like the others."""
 
 import copy
+import dataclasses
 import inspect
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from test_free_flows import vessel
 from warpcrete import SceneError, scenes
 from warpcrete.core.run.method import Quantity, report_of
 from warpcrete.core.units import number
+from warpcrete.dem.measure.display import ElementDisplay
+from warpcrete.dem.measure.sampling import unit_of
 from warpcrete.methods import METHODS, method_of
 from warpcrete.mps.free.simulation import FreeSimulation
 from warpcrete.standards import J_RING, TESTS, ClosedForm, Outcome, Specimen, StandardTest
@@ -43,6 +47,21 @@ def test_a_test_of_one_s_own_needs_nothing_but_its_record(device, channel):
     assert {"channel_spread", "channel_spread_theory", "slump"} <= {each.name for each in METHODS[0].quantities}
     with pytest.raises(SceneError, match="dimensions"):
         vessel(test=channel)
+
+
+def test_elements_in_a_test_of_one_s_own_are_plotted_in_its_units(channel):
+    """A column in seconds has no other unit for display, and a test without a column of the heap has no plot of it."""
+    scene = scenes.slump_dem()
+    for columns, curves, labels in (
+        ({"front": "m"}, None, []),
+        ({"front": "m", "wait": "s", "force": "Pa"}, {"front": "front", "wait": "wait", "force": "thrust"},
+         [("front [mm]", 2000.0), ("wait [s]", 2.0), ("thrust [kPa]", 0.002)]),
+    ):  # fmt: skip
+        test = dataclasses.replace(channel, columns=columns, curves=curves)
+        own = dataclasses.replace(scene.vessel, test=test, dimensions={"length": 0.4})
+        simulation = SimpleNamespace(scene=dataclasses.replace(scene, vessel=own), unit=lambda n: unit_of(n, ()))
+        plots = {plot.title: plot.curves for plot in ElementDisplay.plots(SimpleNamespace(simulation=simulation))}
+        assert [(each.label, each.value(dict.fromkeys(columns, 2.0))) for each in plots.get("Shape", ())] == labels
 
 
 def test_the_blocking_step_is_that_over_the_bars():

@@ -21,6 +21,7 @@ from ...core.drawing.display import (
 )
 from ...core.drawing.paint import Paint, packed, palette_colours, rounded_up
 from ...core.drawing.style import RUN, SECOND, SERIES, THIRD
+from ...core.units import shown
 from ...geometry.axis import Axis
 from ...geometry.walls import Prescribed
 from ...kernels.dem.bond_parallel import HYDRATED
@@ -38,8 +39,6 @@ WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from the colour map of aggregates, and pale where a wall is not worn."""
 HEAP = {"spread": "spread", "top": "highest point"}
 """Columns that show the shape of a heap over time, with their names, for tests that choose no columns."""
-UNITS = {"m": (1e3, "mm"), "1": (100.0, "%")}
-"""Factor and name of the displayed unit, for each unit of a column of a test."""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
 """Quantile of the depths of all worn patches that sets the top of the colour scale.
@@ -189,12 +188,13 @@ class ElementDisplay(Display):
         if scene.vessel is not None:
             test = scene.vessel.test
             names = test.curves or {name: words for name, words in HEAP.items() if name in test.columns}
-            shown = (*((n, words, *UNITS[test.columns[n]]) for n, words in names.items()),)
-            curves = (
+            described = [(n, words, *shown(self.simulation.unit(n))) for n, words in names.items()]
+            curves = tuple(
                 Curve(n, f"{words} [{unit}]", lambda row, n=n, f=factor: f * row[n], colour)
-                for (n, words, factor, unit), colour in zip(shown, SERIES, strict=False)
+                for (n, words, factor, unit), colour in zip(described, SERIES, strict=False)
             )
-            found.append(Plot("shape", "Shape", tuple(curves)))
+            if curves:
+                found.append(Plot("shape", "Shape", curves))
         energies = tuple(Curve(name, label, lambda row, n=name: row[n], c) for name, (label, c) in ENERGIES.items())
         return (*found, Plot("energy", "Energy", energies))
 
