@@ -34,8 +34,10 @@ def test_the_largest_stone_alone_suffices(tmp_path):
     for name in ("stone", "largest_stone"):
         with pytest.raises(SceneError, match=rf"mix key = '{name}': is the entry 'sizes' of a mix; write 'sizes: 20 m"):
             mix_of(SPREADING | {name: "20 mm"})
-    for value in (None, {"a": 1}, [5, 20], "coarse"):
-        with pytest.raises(SceneError, match=r"is the entry 'sizes' of a mix; write 'sizes: 20 mm'"):
+    other = ((value, "20 mm") for value in (None, {"a": 1}, [5, 20], "coarse", "0.02 mm", 0, 0.75, 2000, -0.02, True))
+    same = ((value, "20 mm") for value in (20, "20", 0.02, "0.02", "2e-2", "0,02"))
+    for value, size in (*other, *same, (0.0125, "12.5 mm"), (32, "32 mm"), (0.3, "300 mm"), ("3/4 in", "3/4 in")):
+        with pytest.raises(SceneError, match=rf"is the entry 'sizes' of a mix; write 'sizes: {size}'$"):
             mix_of({"density": 2350, "stone": value})
 
 

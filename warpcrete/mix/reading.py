@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
-from ..core.inputs.amounts import LONGEST, amount, bare_number, is_amount, is_customary
+from ..core.inputs.amounts import LONGEST, amount, is_amount, is_customary
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
 from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, TOTALS, MixEntries
@@ -23,7 +23,16 @@ from .ingredients import (
     water_mass,
 )
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
-from .stones import SIZE_NUMBERS, named_sizes, read_shape, read_sieve, read_sizes, size_numbers, sizes_with_unit
+from .stones import (
+    SIZE_NUMBERS,
+    example_size,
+    named_sizes,
+    read_shape,
+    read_sieve,
+    read_sizes,
+    size_numbers,
+    sizes_with_unit,
+)
 
 T = TypeVar("T")
 PACKING = 0.57
@@ -66,9 +75,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         with errors_located_at(given, key):
             name = re.sub(r"[\W_]+", " ", str(key).casefold()).strip()
             if key not in KEYS and LARGEST_NAMES.fullmatch(name) is not None:
-                size = given[key] if is_amount(given[key], "m") else "20 mm"
-                size = f"{given[key]} mm" if bare_number(given[key]) else size
-                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
+                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {example_size(given[key])}'")
             if "moist" in str(key).casefold():
                 problem = "is not an entry of a mix"
                 refuse("mix key", key, problem, "subtract the surface moisture from the sand, and add it to the water")

@@ -199,6 +199,21 @@ def read_sizes(given: Any) -> tuple[float, float]:
     return low, high
 
 
+def example_size(given: Any) -> str:
+    """Return the text for the entry `sizes` of a user who stated the largest stone under another name, as in '20 mm'.
+
+    A number without a unit means metres if stones can have that size, and probably millimetres otherwise. The result is
+    '20 mm' if the value is not a possible size in either unit.
+    """
+    if not is_amount(given, "m") and (not bare_number(given) or isinstance(given, bool)):
+        return "20 mm"
+    size = amount("mix sizes", given, "m")
+    if 2 * SMALLEST <= size <= COARSEST:
+        return f"{1e3 * size:g} mm" if bare_number(given) else str(given)
+    is_millimetres = bare_number(given) and 2 * SMALLEST <= 1e-3 * size <= COARSEST
+    return f"{size:g} mm" if is_millimetres else "20 mm"
+
+
 def read_shape(given: Any) -> str:
     """Return the shape of a mix's stones by the name that scenes use.
 
