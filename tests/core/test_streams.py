@@ -17,10 +17,13 @@ from warpcrete.core.errors import DeviceError, DiskFullError
 from warpcrete.core.run.progress import ProgressBar
 from warpcrete.studies.api import study_progress
 
-SAY = """\
-import os, sys
+PREPARE = """\
 from warpcrete.cli.console import prepare_streams
 prepare_streams()
+"""
+SAY = f"""\
+import os, sys
+{PREPARE}
 print("x" * 99999, file=sys.stderr, flush=True)
 sys.stderr.isatty(), os.fstat(0), os.fstat(1), os.fstat(2)
 print("done", flush=True)
@@ -44,6 +47,20 @@ def test_messages_that_cannot_be_written_end_nothing(closed):
 
     done = subprocess.run([sys.executable, "-c", SAY], stdout=subprocess.PIPE, preexec_fn=close)
     assert done.returncode == 0 and done.stdout == (b"" if 1 in closed else b"done\n")
+
+
+@posix
+def test_a_report_for_a_terminal_that_is_closed_ends_nothing():
+    """Writing to a closed terminal fails, but an interrupted run must keep its exit code."""
+    there, terminal = os.openpty()
+    say = "os.write(2, b'ready')\nsys.stdin.read()\nprint('report', flush=True)\nsys.exit(130)"
+    words = [sys.executable, "-c", f"import os, sys\n{PREPARE}{say}"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=terminal, stderr=subprocess.PIPE) as process:
+        os.close(terminal)
+        assert process.stderr.read(5) == b"ready"
+        os.close(there)
+        process.communicate()
+    assert process.returncode == 130
 
 
 def test_the_stream_that_is_replaced_stays_open(monkeypatch, tmp_path):

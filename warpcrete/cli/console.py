@@ -6,9 +6,11 @@ import sys
 
 
 class MessageStream(io.TextIOWrapper):
-    """Standard error of the command; it drops messages that the system cannot write, so that none of them ends a run.
+    """Stream of the command that drops texts that the system cannot write, so that none of them ends a run.
 
-    This happens if the terminal is closed, or if the file of a log lies on a full disk.
+    This happens if the terminal is closed, or if the file of a log lies on a full disk. The stream replaces standard
+    error, and standard output on a terminal. In a file or a pipe, standard output must be complete, so errors in
+    writing it are reported.
     """
 
     def __init__(self, stream: io.TextIOWrapper) -> None:
@@ -16,7 +18,7 @@ class MessageStream(io.TextIOWrapper):
         self._stream = stream  # Python closes the buffer as soon as nobody refers to the stream that owns it.
 
     def write(self, text: str) -> int:
-        """Write a text to standard error; drop it if the system cannot write it."""
+        """Write a text to the stream; drop it if the system cannot write it."""
         try:
             return super().write(text)
         except OSError:
@@ -38,13 +40,18 @@ class MessageStream(io.TextIOWrapper):
 
 
 def prepare_streams() -> None:
-    """Make the output streams escape characters that the terminal cannot show, and make stderr drop failed messages."""
+    """Make the output streams escape characters that the terminal cannot show.
+
+    Messages on standard error, and texts for a terminal that is closed, no longer raise errors.
+    """
     _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     if type(sys.stderr) is io.TextIOWrapper:
         sys.stderr = MessageStream(sys.stderr)
+    if type(sys.stdout) is io.TextIOWrapper and sys.stdout.isatty():
+        sys.stdout = MessageStream(sys.stdout)
 
 
 def _open_closed_streams() -> None:
