@@ -84,7 +84,7 @@ def test_an_ingredient_that_may_be_powder_leaves_the_paste_unknown():
         ("limestone 4-16 mm", "stone"),
         ("limestone powder", "powder"), ("limestone", "powder"), ("limestone sand", "stone"),
         ("crushed quartz", "stone"), ("Type I/II cement", "powder"), ("Type I/II", "powder"),
-        ("limestone 0/0.063 mm", "powder"), ("expansive agent", "powder"),
+        ("limestone 0/0.063 mm", "powder"), ("limestone 10-63 um", "powder"), ("expansive agent", "powder"),
         ("viscosity-modifying admixture", "liquid"), ("anti-washout agent", "liquid"),
     ],
 )  # fmt: skip
@@ -341,7 +341,10 @@ def test_a_mix_that_leaves_much_air_points_to_moist_sand():
         *(([name], {}, (0.004, 0.0381)) for name in ("stone size 1 1/2 in", "stone size 1-1/2 in", "#4 stone 1.5 in")),
         (["aggregate 0 to 16 mm"], {}, None), (["aggregate 0 mm - 16 mm"], {}, None),
         (["crushed stone size 20 mm"], {}, (0.004, 0.02)), (["stone size 9.5 mm"], {}, (0.004, 0.0095)),
-        (["limestone 20 mm"], {}, (0.004, 0.02)), (["stone size 1-2 in"], {}, (0.0254, 0.0508)),
+        *(([name], {}, (0.004, 0.02)) for name in (
+            "limestone 20 mm", "gravel,20 mm", "gravel max.20 mm", "#57 stone - 20 mm")),
+        *(([name], {}, (0.00475, 0.019)) for name in ("stone, 19.0 to 4.75 mm", "stone 4.75-9.5 mm, 9.5-19 mm")),
+        (["stone .75 in"], {}, (0.004, 0.01905)), (["stone size 1-2 in"], {}, (0.0254, 0.0508)),
         (["stone size 3/4"], {}, None), (["stone size 1 1/2"], {}, None), (["gravel 32/56"], {}, (0.032, 0.056)),
         (["32/56 gravel"], {}, (0.032, 0.056)), (["#57/67 stone"], {}, (0.00475, 0.025)),
         (["#57 limestone"], {}, (0.00475, 0.025)), (["number 57 rock"], {}, (0.00475, 0.025)),

@@ -214,8 +214,8 @@ def _noun(name: str) -> str:
     if (known[-1:] == ["powder"] or words[-1:] == ["flour"]) and any(word in (*COARSE, "sand") for word in words):
         return "filler"
     noun = ([word for word in known if word not in (*GENERAL, "water")] or known or [""])[-1]
-    stony = "crushed" in known or re.search(r"\d\s*[/-]\s*[1-9]", name) is not None or size_numbers(name) != []
-    stony = stony or sizes_with_unit(name) is not None
+    sieves = re.search(r"\d\s*[/-]\s*[1-9](?!.*[u\u00b5\u03bc]m\b)", name) is not None
+    stony = "crushed" in known or sieves or size_numbers(name) != [] or sizes_with_unit(name) is not None
     return "aggregate" if noun in ROCKS and stony and "powder" not in known else noun
 
 

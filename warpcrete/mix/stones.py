@@ -26,7 +26,7 @@ SIZE_NUMBERS = {
 coarse aggregates)."""
 UNIT = r"(?:mm|cm|in\b|inch(?:es)?\b|[\"\u201d\u2033])"
 """Pattern of a unit in which the name of an ingredient may state a size of stones."""
-SIZE = r"(?:(?:[1-3][ -])?[0-9]+/[0-9]+|[0-9]+(?:[.,][0-9]+)?)"
+SIZE = r"(?<![0-9/])(?<![0-9][.,])(?:(?:[1-3][ -])?[0-9]+/[0-9]+|[0-9]+(?:[.,][0-9]+)?|(?<![^\s(])\.[0-9]+)"
 """Pattern of a size without its unit, such as '20', '9.5', '3/4' or '1 1/2'."""
 NO_AMOUNT = rf"(?!\s*(?:[-\u2013/]|to\b)\s*[0-9]|[.,][0-9]|\s*{UNIT})(?!(?<=\b[1-3])\s+[0-9]+/[0-9])"
 """Pattern that fails after a number that belongs to a range, a decimal, a fraction or an amount with a unit, such as
@@ -36,14 +36,14 @@ MARKED = re.compile(rf"(?:\bsize\s+)?(?:#|\b(?:no|number|size)\b\.?)\s*([0-9]+)s
 20 mm' is none."""
 BLEND = re.compile(r"#\s*([0-9]+)\s*[/-]\s*([0-9]+)\b")
 """Pattern of two size numbers after one mark, as in '#57/67'."""
-RANGE = re.compile(rf"(?<![0-9./,])({SIZE})\s*({UNIT})?\s*([-\u2013/]|to\b)\s*({SIZE})\s*({UNIT})")
+RANGE = re.compile(rf"({SIZE})\s*({UNIT})?\s*([-\u2013/]|to\b)\s*((?:[1-3][ -])?[0-9]+(?:[/.,][0-9]+)?)\s*({UNIT})")
 """Pattern of the smallest and the largest size with their unit in the name of an ingredient, such as '5-20 mm'."""
 SIEVES = re.compile(
-    r"(?<![0-9./,#])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)(?![0-9/]|\s*(?:in|\"))"
+    r"(?<![0-9./,#])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)(?![0-9/]|\s*(?:in|\"|[u\u00b5\u03bc]m))"
 )
 """Pattern of two sieves in millimetres in the name of an ingredient, such as '4/16'. A fraction of an inch, such as
 '3/8', is none."""
-LARGEST = re.compile(rf"(?<![0-9./,]){SIZE}\s*{UNIT}")
+LARGEST = re.compile(rf"{SIZE}\s*{UNIT}")
 """Pattern of a size with its unit in the name of an ingredient, such as '20 mm' or '3/4 in'."""
 STONES = r"\s+(?:(?:crushed|coarse|washed)\s+)*(?:stone|rock|limestone|granite|gravel|aggregate)s?\b"
 """Pattern of the words for stones that may follow a size number."""
@@ -80,16 +80,28 @@ def sizes_with_unit(name: str) -> tuple[float, float] | None:
 
     The name may state a range ('gravel 5-20 mm') or only the largest size ('3/4 in rock', 'aggregate 20 mm').
     """
-    name = name.lower()
-    for low, unit, joint, high, last in RANGE.findall(name):
-        ends = [f"{low} {unit or last}", f"{high} {last}"]
-        if (joint != "/" or last in ("mm", "cm")) and all(is_amount(each, "m") for each in ends):
-            smallest, largest = (amount("mix parts", each, "m") for each in ends)
-            if (found := _possible(smallest, largest)) is not None:
-                return found
+    name = " ".join(name.lower().split())
+    ranges = [found for texts in RANGE.findall(name) if (found := _range(*texts)) is not None]
+    if ranges:
+        return min(low for low, _ in ranges), max(high for _, high in ranges)
     texts = [found[0] for found in LARGEST.finditer(name) if is_amount(found[0], "m")]
     sizes = [size for each in texts if 2 * SMALLEST <= (size := amount("mix parts", each, "m")) <= COARSEST]
     return (SMALLEST, max(sizes)) if sizes else None
+
+
+def _range(low: str, unit: str, joint: str, high: str, last: str) -> tuple[float, float] | None:
+    """Return the ends of a range of stone sizes [m] from the groups of :data:`RANGE`, or None for other numbers.
+
+    Metric ranges may begin with the larger size, as in '19.0 to 4.75 mm'. In inches, '1-1/2 in' is a single size, and
+    so is '3/4 in'.
+    """
+    ends, metric = (f"{low} {unit or last}", f"{high} {last}"), last in ("mm", "cm")
+    if (joint == "/" and not metric) or not all(is_amount(each, "m") for each in ends):
+        return None
+    first, second = (amount("mix parts", each, "m") for each in ends)
+    if first > second and metric and f"#{low}" not in SIZE_NUMBERS:
+        first, second = second, first
+    return _possible(first, second)
 
 
 def _possible(low: float, high: float) -> tuple[float, float] | None:

@@ -247,7 +247,7 @@ def _emulator(
         together = np.concatenate([extra, target.uncertainty * coarse.doubtful[target][there]])
         return Emulator(np.concatenate([points, others]), np.concatenate([values, found]), least, together)
     if len(found) < 3 or len(values) >= len(found):
-        # The error of the coarse emulator would remain, although as many full runs know more without the coarse ones.
+        # With as many full runs as coarse ones, the coarse runs would only add their error.
         return Emulator(points, values, least, extra)
     return TwoLevelEmulator(Emulator(others, found, least), points, values, least, extra)
 
