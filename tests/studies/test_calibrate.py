@@ -378,7 +378,7 @@ def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path, whole_pictures
     again = resume_calibration(out, modules())
     assert again.finished and {path: path.stat().st_mtime_ns for path in out.rglob("result.json")} == before
     assert again.best["slip_viscosity"] == best
-    with pytest.raises(SceneError, match="trials = 2: must be from 4 to 10000"):
+    with pytest.raises(SceneError, match="trials = 2: must be a whole number from 4 to 10000"):
         resume_calibration(out, modules(), trials=2)
     more = resume_calibration(out, modules(), trials=7)
     assert more.finished and all(path.stat().st_mtime_ns == stamp for path, stamp in before.items())
