@@ -35,7 +35,7 @@ def test_plots_follow_what_a_scene_measures():
     """A vessel has no piston, so its plots show the shape of the heap instead of a pressure."""
     paths = {}
     for scene in (scenes.pipe(), scenes.jring_dem(), scenes.funnel_dem()):
-        display: Any = SimpleNamespace(simulation=SimpleNamespace(scene=scene))
+        display: Any = SimpleNamespace(simulation=SimpleNamespace(scene=scene, unit=lambda column: "m"))
         paths[scene.name] = [plot.path for plot in ElementDisplay.plots(display)]
     assert paths["pipe"] == ["pressure", "energy"]
     assert paths["jring-dem"] == paths["funnel-dem"] == ["shape", "energy"]
