@@ -28,10 +28,9 @@ print("x" * 99999, file=sys.stderr, flush=True)
 sys.stderr.isatty(), os.fstat(0), os.fstat(1), os.fstat(2)
 print("done", flush=True)
 """
-posix = pytest.mark.skipif(sys.platform == "win32", reason="streams and signals of POSIX")
 
 
-@posix
+@pytest.mark.posix
 @pytest.mark.parametrize("closed", [(2,), (0, 2), (0, 1, 2), ("full",), ("broken",)])
 def test_messages_that_cannot_be_written_end_nothing(closed):
     def close():
@@ -49,7 +48,7 @@ def test_messages_that_cannot_be_written_end_nothing(closed):
     assert done.returncode == 0 and done.stdout == (b"" if 1 in closed else b"done\n")
 
 
-@posix
+@pytest.mark.posix
 def test_a_report_for_a_terminal_that_is_closed_ends_nothing():
     """Writing to a closed terminal fails, but an interrupted run must keep its exit code."""
     there, terminal = os.openpty()
@@ -79,7 +78,7 @@ def test_a_program_without_standard_error_shows_no_bar(monkeypatch):
     ProgressBar()("running", 0.5)
 
 
-@posix
+@pytest.mark.posix
 def test_the_end_of_the_terminal_stops_a_run_once(monkeypatch):
     before = signal.signal(signal.SIGHUP, signal.default_int_handler)
     simulation = SimpleNamespace(finishing=False, stop_requested=False)

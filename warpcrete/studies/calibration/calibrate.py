@@ -208,7 +208,7 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
                   for k, units in enumerate(each["units"])]  # fmt: skip
         # Compute the progress of the whole calibration. The total is the number of permitted trials plus the number of
         # verification runs. If the search needs fewer trials, the verification runs count as the whole remaining work.
-        coarse = sum(len(found["units"]) for found in rounds if found.get("coarse"))
+        coarse = sum(len(found["units"]) for found in rounds if "coarse" in found)
         whole = coarse + most + verification_runs(calibration, modules)
         begun = (len(calibration.trials) - len(calibration.verifying)) / whole
         last = each["proof"] and place == len(rounds) - 1
@@ -217,7 +217,7 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
             return
         calibration.trials += trials
         place += 1
-        if each.get("coarse"):
+        if "coarse" in each:
             _learn_from_coarse_trials(calibration, settings["seed"] + place)
         elif not each["proof"]:
             _update_posterior(calibration, settings["seed"] + place)

@@ -82,7 +82,7 @@ class TwoLevelEmulator:
     """
 
     def __init__(
-        self, coarse: Emulator, points: np.ndarray, values: np.ndarray, least: float, extra: Any = 0.0
+        self, coarse: Emulator, points: np.ndarray, values: np.ndarray, least: float, extra: np.ndarray
     ) -> None:
         """Fit the difference between the `values` of full runs and the predictions of the emulator `coarse`.
 
