@@ -43,8 +43,8 @@ error of the solve falls below ROUGH_ERROR. The velocities are not yet accurate 
 if it would overlap even at the fraction CERTAIN of its speed of approach. In 50 steps of five flows, no pair was put in
 contact that would not have been in contact after the solve."""
 KEPT_DIRECTIONS = 60
-"""Largest number of search directions that a repeated solve takes over from the solve before it. With more directions,
-their memory and the work to orthogonalise them would grow with each repetition."""
+"""Largest number of search directions that a repeated solve reuses. If the solve before it stored more, they are
+discarded, because memory and the work to orthogonalise further directions would grow with each repetition."""
 CHECKED = {"cpu": 1, "gpu": 5}
 """Number of iterations of a viscous solve between two checks of its convergence. A check makes the host wait for the
 GPU."""
