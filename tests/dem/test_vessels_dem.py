@@ -60,7 +60,7 @@ def test_the_spread_of_an_oval_heap_is_the_mean_over_all_directions():
     apart = np.min([np.hypot(*np.moveaxis(points - each, -1, 0)) for each in place], axis=0)
     reach = np.where(apart < 0.06, along, 0.0).max(1)
     assert reach.max() > 2 * reach.min()
-    assert heaps.spread(spheres) == pytest.approx(2 * reach.mean(), abs=4e-3)
+    assert heaps.spread(spheres) == pytest.approx(2 * reach.mean(), abs=3e-3)
 
 
 def test_light_is_seen_through_what_no_grain_darkens():

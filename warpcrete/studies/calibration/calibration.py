@@ -52,7 +52,7 @@ class Calibration:
     coarsened: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Any])
     """Parameters that are changed in coarse trials, by the key of the group of targets; empty without such trials."""
     coarse_posterior: Posterior | None = None
-    """Posterior that was computed from coarse trials alone. It only proposes the parameters of the first full trials."""
+    """Posterior computed from coarse trials alone; it only proposes the parameters of the first full trials."""
     settled: bool = False
     """True if further runs would no longer change the answer."""
     finished: bool = False
