@@ -36,13 +36,13 @@ def run_batch(
     checkpoints: Sequence[Path | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Outcome]:
-    """Run simulations on one device; those that need the same kernel features run together, as many as memory allows.
+    """Run simulations on one device, in batches of simulations that need the same kernel features and fit the memory.
 
     Returns one entry for each simulation: its :class:`Run`, or the error that ended the simulation. The failure of a
     simulation does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or
     None. After Ctrl-C the entry of a simulation that had begun is its unfinished run, and the entry of any other
-    simulation is a `KeyboardInterrupt`. `progress` is called with the name of the present part of the work and the
-    fraction completed.
+    simulation is a `KeyboardInterrupt`. `progress` is called with the name of the current phase and the completed
+    fraction of the work.
     """
     tell = progress or (lambda phase, fraction: None)
     try:
@@ -119,7 +119,7 @@ def _share_rounds(parts: Sequence[_BatchMember]) -> None:
 
 
 class _BatchMember:
-    """Batch of simulations that advance together on one device.
+    """Simulations of one batch, with their coroutines and results; they advance together on one device.
 
     A simulation is identified by its index in the list of all simulations.
     """
@@ -172,8 +172,7 @@ class _BatchMember:
             self.scenes[number] = (stepper, self._whole_run(number))
 
     def end(self, results: dict[int, Outcome]) -> None:
-        """Add `results`, the results of the batch's simulations, to `outcomes`; set `stopped` if Ctrl-C interrupted a
-        run."""
+        """Store the runs or errors with which this batch ended, and note whether Ctrl-C interrupted a run."""
         self.outcomes |= results
         self.stopped = any(
             isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()

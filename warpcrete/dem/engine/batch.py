@@ -61,7 +61,7 @@ class Batch(JointArrays):
 
     `models` (constant data of the scenes) and `states` (data that change in time) have one entry for each scene. On a
     CPU, `threads` threads share the work of a single scene: each thread computes a chunk, a range of bodies that are
-    neighbours in memory. A batch of several scenes uses one thread, and a scene of few spheres uses fewer threads.
+    neighbours in memory. A batch of several scenes uses one thread, and a small scene uses fewer threads than given.
     Raises :class:`SceneError` if the scenes need different features.
     """
 
@@ -92,7 +92,7 @@ class Batch(JointArrays):
         """Version of the batch at the last measurement of its device memory, and the measured memory [B]."""
         self._chunks: tuple[int, ...] = ()
         self.scenes_with_new_chunks: set[int] = set()
-        """Indices of the scenes whose bodies have been divided anew among the CPU threads, so that their neighbour
+        """Indices of the scenes whose bodies are now divided differently among the CPU threads, so that their neighbour
         lists must be rebuilt."""
         self.planner = LaunchPlanner(self.parallel, self.count)
         self._flags: np.ndarray | None = None
@@ -107,7 +107,7 @@ class Batch(JointArrays):
         self.split()
 
     def split(self) -> None:
-        """Divide bodies and spheres, in their present order, into one range (chunk) for each CPU thread."""
+        """Divide bodies and spheres, in their current order, into one range (chunk) for each CPU thread."""
         before = self._chunks
         if self.threads == 1:
             self.body_chunks = np.array([0, self.body_count])
@@ -157,26 +157,26 @@ class Batch(JointArrays):
         self._wall_launch = None
 
     def use_step(self, step: Step, rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
-        """Set the recorded launches of a time step, and of the work that a GPU does after each group of time steps.
+        """Store the launches of a time step, and the launches that follow each group of time steps on a GPU.
 
         `step` holds one list of launches for each CPU thread. The launches stay valid while `has_step` is True. After
-        each group of steps, a GPU launches `between_pieces`, which estimates stable time steps and, in a batch of one
-        scene, also rebuilds stale neighbour lists. If no scene needs estimates, the GPU launches `rebuild` instead,
-        which only rebuilds the lists.
+        each group of steps, a GPU launches `between_pieces`, which estimates stable time steps. If the batch has only
+        one scene, `between_pieces` also rebuilds stale neighbour lists. If no scene needs an estimate, the GPU
+        launches `rebuild` instead, which only rebuilds stale lists.
         """
         self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 
     @property
     def has_step(self) -> bool:
-        """True if recorded launches of a time step exist and fit the present arrays and each CPU thread's bodies."""
+        """True if recorded launches of a time step exist and fit the current arrays and each CPU thread's bodies."""
 
         return self._step is not None
 
     def set_goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
         """Let scene `s` continue until it has completed `steps` steps in total or has reached the time `until` [s].
 
-        The scene also halts after every `interval` steps, so that its stable time step can be estimated anew. The scene
-        must not have reached either goal yet.
+        The scene also halts after every `interval` steps, so that its stable time step can be estimated again. It must
+        not have reached either goal yet.
         """
         goal = until, min(interval, NEVER)
         if goal != (self.rows["until"][s], self.rows["interval"][s]):
@@ -213,7 +213,7 @@ class Batch(JointArrays):
     def host_clock(self) -> np.ndarray:
         """Return simulated time, time step and other time data of each scene, shape (scenes, CLOCK).
 
-        `kernels/dem/structs.py` says what each column contains. Callers must not change the array.
+        `kernels/dem/structs.py` lists the columns and their units. Callers must not change the array.
         """
         if self._clock is None:
             self._read_flags()
@@ -233,16 +233,16 @@ class Batch(JointArrays):
             self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
 
     def host_walls(self, s: int) -> np.ndarray:
-        """Return the present forces, travel and other values of the walls of scene `s`, shape (walls, WALL_COLUMNS).
+        """Return the current forces, travel and other values of the walls of scene `s`, shape (walls, WALL_COLUMNS).
 
-        `kernels/dem/probes.py` says what each column contains.
+        `kernels/dem/probes.py` lists the columns and their units.
         """
         if self._walls is None:
             (self._walls,) = self.exchange.read(self.wall_values())
         return self.own_walls(s, self._walls)
 
     def wall_values(self) -> DeviceArray:
-        """Write the present forces, travel and other values of all walls to `wall_array`, and return this device array.
+        """Write the current forces, travel and other values of all walls to `wall_array`, and return this device array.
 
         The next call overwrites the array.
         """

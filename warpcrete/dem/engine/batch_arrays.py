@@ -30,7 +30,7 @@ Enlarging a list replaces arrays of the batch and discards all recorded launches
 
 
 class JointArrays:
-    """Device arrays of all scenes of a batch, joined end to end; the scenes need the same kernels."""
+    """Device arrays of all scenes of a batch, joined end to end; all scenes must use the same kernels."""
 
     flags: DeviceArray
     """Control flags of all scenes, such as halted, failed and stale lists, shape (scenes, FLAGS)."""
@@ -302,7 +302,7 @@ class JointArrays:
         self.scenes.row.assign(self.rows)
 
     def reserve_pairs(self, wanted: np.ndarray) -> None:
-        """Give each scene memory for at least `wanted` pairs in its neighbour list; keep the present pairs.
+        """Give each scene memory for at least `wanted` pairs in its neighbour list; keep the current pairs.
 
         Raises :class:`CapacityError` if the arrays would be too long.
         """
@@ -327,8 +327,8 @@ class JointArrays:
     def reserve_loads(self, s: int, wanted: int) -> None:
         """Enlarge `load`, the array of forces and moments of the bonds, to at least `wanted` rows for scene `s`.
 
-        Other scenes of the batch that have no bonds yet will probably create them soon. They get room in proportion to
-        their number of spheres.
+        Other scenes of the batch that have no bonds yet will probably create bonds soon. Each of them gets rows in
+        proportion to its number of spheres.
         """
         spheres = self.rows["sphere_count"].astype(np.int64)
         each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)
@@ -366,7 +366,7 @@ class JointArrays:
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(
-                f"spheres = {self.sphere_count}: need a list of {new[-1]} {struct}, but at most {most} are possible; "
+                f"spheres = {self.sphere_count}: need a list with {new[-1]} {struct}, but the maximum is {most}; "
                 "use fewer spheres"
             )
         for name in names:

@@ -26,7 +26,7 @@ def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int =
 
     If `group` is not -1, only pairs inside the body group of this number are bonded. Returns the number of bonds of
     this `kind` afterwards. The neighbour list must be up to date and must contain all pairs up to the gap. Raises
-    :class:`CapacityError` if there are more bonds than a 32-bit integer can number.
+    :class:`CapacityError` if the number of bonds exceeds the range of the 32-bit bond indices.
     """
     make, _ = bond_kernels(model.scalar)
     before = state.pairs.bond.numpy().copy()
@@ -105,7 +105,7 @@ def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.nda
     """Assign a second row of `pairs.load` to each bond between spheres of two CPU threads, and store the row in `bond`.
 
     The array `pairs.load` contains the forces and moments of bonds. A pair of spheres from two CPU threads has two
-    entries in the neighbour list, one for each thread. The second entry gets the row after the row of the first entry.
+    entries in the neighbour list, one for each thread. If the first entry has row k, the second entry gets row k + 1.
     `low` and `high` are the sphere indices of all bonds, and `place` is the first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]

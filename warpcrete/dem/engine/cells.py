@@ -29,8 +29,7 @@ class Cells:
 
     Positions wrap around periodically, so every position belongs to a cell. A sphere outside its scene's block is still
     found, but the search takes longer. The same holds for a grid with too few cells. The blocks are fitted to the
-    scenes, because in a cubic grid distant parts of a long pipe would wrap onto the same cells and slow down the
-    search.
+    scenes, because in a cubic grid distant parts of a long pipe would share cells, which would slow down the search.
     """
 
     shift: DeviceArray
@@ -67,8 +66,8 @@ class Cells:
     def width(self) -> float:
         """Return the width of a grid cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
 
-        All scenes of a batch share one width, the largest that any scene needs. Spheres larger than the mean must
-        search in more than the adjacent cells.
+        All scenes of a batch share one width, the largest that any scene needs. The search around a sphere
+        larger than the mean visits more than the adjacent cells.
         """
         b = self.batch
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0
@@ -104,13 +103,16 @@ class Cells:
             dims[np.argmax(dims)] = (dims.max() + 1) // 2
         if np.all(dims <= self._dims):
             return
-        # Make the grid a quarter larger than needed, so that it need not grow again soon when spheres spread further.
+        # Make the grid a quarter larger than needed, so that it stays large enough while spheres spread further.
         grown = np.maximum(self._dims, dims + dims // 4)
         self._dims = grown if np.prod(grown, dtype=float) <= most and np.any(self._dims > 1) else dims
         self._make()
 
     def _extent(self, s: int, width: float) -> np.ndarray:
-        """Return the lowest and highest corner of a box around nearly all spheres of scene `s` [m], shape (2, 3)."""
+        """Return the lowest and highest corner of a box around the spheres of scene `s` [m], shape (2, 3).
+
+        A few spheres far from the others may lie outside the box, so that they cannot make the grid too large.
+        """
         state = self.batch.states[s]
         stride = max(1, state.sphere_count // SAMPLED_SPHERES)
         some = state.spheres.position[::stride]

@@ -38,8 +38,8 @@ class DeviceRebuild:
     def possible(batch: Batch) -> bool:
         """Return whether the device can rebuild the neighbour lists of this batch without the host.
 
-        This requires kernels for GPUs and a batch of one scene, which has spheres that do not grow. A GPU must also
-        support conditional CUDA graphs.
+        The batch must use kernels for GPUs and must contain exactly one scene, whose spheres do not grow. A GPU must
+        also support conditional CUDA graphs.
         """
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
         return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able

@@ -12,9 +12,9 @@ from .state import State
 def unstable(time: float, body: int, what: str, cures: str = "", scene: Scene | None = None) -> InstabilityError:
     """Return the error for a run that became unstable at `time` [s].
 
-    Its message contains the permanent number of the `body`, what happened to the body (`what`), and usual `cures`. If a
-    `scene` is given, the message also names its contact laws that are defined outside this package, because their
-    forces may be wrong.
+    The message contains the permanent number of the `body`, a description `what` of the failure, and the usual `cures`.
+    If a `scene` is given, the message also names the scene's contact laws that are defined outside this package,
+    because the forces of these laws may be wrong.
     """
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
     if scene is not None and (own := own_laws(scene.laws())):

@@ -71,7 +71,7 @@ class LaunchPlanner:
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False
-        """True if a GPU rebuilds the neighbour lists of a batch of one scene without the host.
+        """True if a GPU rebuilds the neighbour lists without the host, which requires that the batch has one scene.
 
         The host still rebuilds lists when bodies must be sorted or when the arrays are too small.
         """
@@ -88,8 +88,8 @@ class LaunchPlanner:
         """Return the maximum number of steps in one recorded graph of launches.
 
         `threads` is the number of CPU threads that take part in a step, and `rounds` is the number of sub-cycling
-        rounds per step. Rounds are shorter steps for stiff bonds within one step; the more of them a step has, the
-        fewer steps a graph holds.
+        rounds per step. Rounds are the shorter steps that integrate stiff bonds within one step. The more rounds a
+        step has, the fewer steps a graph may contain.
         """
         kind = (
             "cuda"
@@ -101,11 +101,11 @@ class LaunchPlanner:
         return max(1, LARGEST_GRAPH[kind] // (1 + rounds // 4))
 
     def scenes_to_rebuild(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
-        """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
+        """Return the indices of the scenes whose neighbour lists should be rebuilt now.
 
         All scenes with stale lists must be rebuilt. On a GPU, the rebuild of several scenes takes hardly longer than
         the rebuild of one scene. A GPU therefore also rebuilds those scenes whose lists will soon be stale. `among`
-        contains the numbers of the running scenes, and `flags` contains the control flags of all scenes. `sort_every`
+        contains the indices of the running scenes, and `flags` contains the control flags of all scenes. `sort_every`
         contains, for each scene, the number of steps between two re-sortings of its bodies.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
@@ -180,8 +180,8 @@ class LaunchPlanner:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
         # The device skips all steps of a launch that follow the moment at which the neighbour lists become stale. If
-        # only the host can rebuild the lists, the launch should therefore end at that moment. The forecast is that the
-        # lists last as long as the previous lists.
+        # only the host can rebuild the lists, the launch should therefore end at that moment. The lists are expected to
+        # last as long as the previous lists did.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

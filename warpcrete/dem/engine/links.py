@@ -28,7 +28,7 @@ def make_even(states: list[State]) -> None:
 
 
 def rows_of(features: Features) -> int:
-    """Return the number of four-component rows that hold the force and the moment of one link (a listed pair)."""
+    """Return the number of rows, each of four numbers, that store force and moment of one link (a listed pair)."""
     return result_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
@@ -66,7 +66,7 @@ def make_links(batch: BatchArrays) -> Links:
 
 
 def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarray) -> None:
-    """Copy the links, one for each listed pair, of all scenes from `before` into the larger arrays of `links`.
+    """Copy the links of all scenes from `before` into the larger arrays of `links`; a link stands for one listed pair.
 
     `old` and `capacity` are the numbers of list entries for which each scene had memory before and has memory now,
     shape (scenes,).

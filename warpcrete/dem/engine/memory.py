@@ -28,7 +28,7 @@ PAIRS_PER_SPHERE = (
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     """Return the device memory [B] of a body without its spheres, and of a sphere with its neighbours and bonds.
 
-    `table` must contain at least one body.
+    `table` contains the bodies of the run, at least one.
     """
     first = {field.name: getattr(table, field.name)[:1] for field in fields(table) if field.name != "templates"}
     first["template"] = np.zeros(1, int)
@@ -42,9 +42,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
     scalar = bytes_of(model.scalar)
-    # `listing` is the memory per sphere for neighbour lists and bonds [B]. The terms in this line are, in this order:
-    # the current and the previous neighbour list; eight 32-bit integers, such as the index of the sphere's first list
-    # entry; the sphere's centre; and the sphere's part of the cell grid. The terms for bonds follow below.
+    # `listing` is the memory per sphere for neighbour lists and bonds [B]. Its terms here are: the current and the
+    # previous neighbour list (2 * listed * pair); eight 32-bit integers, such as the index of the sphere's first list
+    # entry; the sphere's centre (3 * scalar); and its part of the cell grid (24). The terms for bonds follow below.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
     # Add memory for the forces and moments of bonds. On a CPU, a bond between spheres of two threads has two copies of
     # its force and moment. If contacts can form bonds during the run (healing), the memory of a listed pair already
@@ -81,7 +81,7 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
 
 
 def memory_needed(model: Model, table: BodyTable) -> float:
-    """Return an estimate of the device memory [B] that a run needs for the bodies of `table`."""
+    """Return an estimate of the device memory [B] that a run needs for all bodies in the body table `table`."""
     if len(table) == 0:
         return 0.0
     body, sphere = bytes_per_body(model, table)

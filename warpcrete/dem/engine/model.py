@@ -1,4 +1,4 @@
-"""Translate a scene to a model, which holds the constant arrays of a run on a device and the features that the scene
+"""Translate a scene into a model, which contains the constant device arrays of a run and the features that the scene
 needs.
 """
 
@@ -49,8 +49,8 @@ class Features:
     subcycling: bool
     """True if stiff bonds are sub-cycled: each time step integrates them with several shorter steps (rounds)."""
     clumps: bool
-    """True if the kernel for clumps moves the bodies, because some bodies consist of several spheres or some bonds are
-    sub-cycled."""
+    """True if some bodies consist of several spheres or some bonds are sub-cycled; the kernel for clumps then moves the
+    bodies."""
     rotation: bool
     """True if bodies rotate; single spheres without friction, shear damping and bonds need no rotation."""
     drives: bool
@@ -62,7 +62,7 @@ class Features:
     strokes: bool
     """True if the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
     structure: bool
-    """True if the lubrication layer on the walls becomes stronger while the concrete rests; slip then reduces this
+    """True if the lubrication layer on the walls gains strength while the concrete rests; later slip reduces this
     gain."""
     growth: bool
     """True if bodies grow during the run, as in a packing."""
@@ -90,8 +90,8 @@ class Model:
     groups: tuple[str, ...]
     """Name of each body group, by group number; number 0 means no group."""
     bond_kinds: tuple[Bonds, ...]
-    """Properties of the bond kinds 1, 2, ...; the last kind consists of the bonds that gained strength while the
-    concrete rested, if the scene contains such a rest."""
+    """Properties of the bond kinds 1, 2, and so on. If the concrete of the scene stands still for a time (a rest), the
+    last kind contains the bonds that gained strength during this time."""
     walls: tuple[Wall, ...]
     """Walls of the scene in the order of the device arrays: planes and pipes first, then meshes."""
     analytic_walls: int
@@ -154,7 +154,7 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
     subcycling = not growth and subcycled(scene)
     # Sub-cycled bodies need the kernel for clumps even if they are single spheres, because the velocity of a sub-cycled
-    # body differs from the velocity of its spheres: the body has the velocity of the present sub-cycling round, and the
+    # body differs from the velocity of its spheres: the body has the velocity of the current sub-cycling round, and the
     # spheres have the mean velocity over the step.
     clumps = subcycling or any(t is not None and len(t.radii) > 1 for t in shapes)
     features = Features(
@@ -230,7 +230,7 @@ def subcycled(scene: Scene) -> bool:
 
 
 class _Axes:
-    """List of the segments (lines and arcs) of all pipe axes of a scene."""
+    """Growing list of the segments (lines and arcs) of all pipe axes of a scene."""
 
     def __init__(self) -> None:
         self._segments: list[dict[str, Any]] = []
@@ -279,7 +279,10 @@ def _wall_rows(
 
 
 def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Return for every body group the pipe axis along which a force drives it, and this force on each body [N]."""
+    """Return, for each body group, the driving force on each of its bodies [N] and the pipe axis of this force.
+
+    The axis comes first, as a range of segments, shape (groups, 2); the forces have the shape (groups,).
+    """
     axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
     for drive in scene.drives:
         group = groups.index(drive.group)

@@ -1,7 +1,7 @@
 """Neighbour (Verlet) lists: search on a grid of cells, exact transfer of contact history, and re-sorting of bodies.
 
-A list contains all pairs of spheres whose gap is less than a given margin, the skin. It serves for many steps, until
-some sphere may have moved too far (L. Verlet, Phys. Rev. 159 (1967) 98). The list stores the neighbours of each sphere
+A list contains all pairs of spheres whose gap is less than a given margin, the skin. It remains valid for many steps,
+until some sphere may have moved too far (L. Verlet, Phys. Rev. 159 (1967) 98). It stores the neighbours of each sphere
 together. A full list (GPU) contains each pair at both spheres. A half list (CPU) contains each pair at only one of its
 spheres, with one exception: a pair of spheres that belong to different CPU threads is listed at both, once for each
 thread.
@@ -155,7 +155,7 @@ class NeighborLists:
         if b.features.meshes:
             wanted, _ = self._found_of(self._face_total, "mesh candidates", "faces")
             b.reserve_faces(wanted)
-        # Launch the rest of the rebuild on the present arrays, which may just have been enlarged.
+        # Launch the rest of the rebuild on the current arrays, which may just have been enlarged.
         self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
@@ -186,8 +186,8 @@ class NeighborLists:
             room = np.maximum(self._room, wanted + wanted // 4)
             if np.any(wanted < 0) or room.sum() > MAXIMUM_ENTRIES:
                 raise CapacityError(
-                    f"neighbour list of {b.sphere_count} spheres has more pairs than a 32-bit number can "
-                    "count; use fewer or larger aggregates"
+                    f"neighbour list of {b.sphere_count} spheres: has more than 2^31 pairs, the largest possible "
+                    "number; use fewer or larger aggregates"
                 )
             self._room = room
             self._found = empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
@@ -196,8 +196,8 @@ class NeighborLists:
     def device_rebuild(self) -> Rebuild:
         """Return the launches of a list rebuild for :class:`DeviceRebuild`, which repeats them inside a CUDA graph.
 
-        The device repeats all launches. The host, in contrast, copies the old lists itself and begins with the phase
-        `cells`, which sorts spheres into the cells of the search grid.
+        A rebuild on the device runs all phases, including the copy of the old lists. A rebuild by the host copies the
+        old lists separately and starts at the phase `cells`, which sorts spheres into the cells of the search grid.
         """
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
@@ -239,15 +239,15 @@ class NeighborLists:
         return [*stages, *sorting_kernels(b)]
 
     def _keep_old(self, scenes: np.ndarray) -> None:
-        """Copy the current neighbour lists of `scenes` to `_old`, the source of contact history for the new lists."""
+        """Copy the current neighbour lists of `scenes` to `_old`, from which the new lists receive contact history."""
         b = self.batch
-        # Copy whole arrays if more than a quarter of the scenes of a batch are rebuilt. Also copy them for a single
-        # scene on a GPU, because the host may not know how many entries a rebuild by the device has used.
+        # Copy whole arrays if more than a quarter of the scenes of a batch are rebuilt. Also copy whole arrays for a
+        # single scene on a GPU: the device may have rebuilt the lists itself, so their lengths are unknown to the host.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array: DeviceArray = getattr(b.pairs, name)
             kept: DeviceArray | None = getattr(self._old, name)
-            if name not in self._kept:  # No kernel reads this array of the old lists, so do not copy it.
+            if name not in self._kept:  # No kernel reads the old values of this array, so do not copy it.
                 if kept is not array:
                     setattr(self._old, name, array)
                     self._recorded.clear()
@@ -265,10 +265,10 @@ class NeighborLists:
                     copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
-        """Return the launches that rebuild the neighbour lists, recorded for the present arrays.
+        """Return the launches that rebuild the neighbour lists, recorded for the current arrays.
 
         `sorted_now` must be True if the bodies have just been re-sorted. `searchers` is the number of threads that find
-        the neighbours of one sphere; by default it is the number chosen for the present rebuild.
+        the neighbours of one sphere; by default it is the number chosen for the current rebuild.
         """
         version = self.batch.version, self._cells.made
         if self._version != version:
@@ -282,9 +282,9 @@ class NeighborLists:
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
         """Return the phases (groups of kernel launches) of a rebuild of the neighbour lists, in their fixed order.
 
-        A device that rebuilds its lists without the host may find after the phase `count` that its arrays are too
-        small. It can then stop, because the current lists are unchanged until the phase `starts`. The host repeats the
-        rebuild with larger arrays. A host that rebuilds lists reads their lengths after the phase `starts`.
+        The phases before `starts` leave the current lists unchanged. If a device rebuilds its lists without the host
+        and finds after the phase `count` that its arrays are too small, it stops there, and the host repeats the
+        rebuild with larger arrays. A rebuild by the host reads the lengths of the new lists after the phase `starts`.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity
@@ -349,9 +349,9 @@ class NeighborLists:
     def _search_stages(
         self, old: Arguments, new_place: DeviceArray, searchers: int
     ) -> tuple[list[Recordable], list[Stage]]:
-        """Return the launches of the phase `search`, which finds neighbours, and of `fill`, which writes the lists.
+        """Return the launches of the phases `search` (find neighbours) and `fill` (write the neighbour lists).
 
-        On a CPU the second list is empty, because the transfer of contact history writes the lists.
+        On a CPU there are no launches for `fill`, because the transfer of contact history writes the neighbour lists.
         """
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         grid: Arguments = {"grid": self._cells.grid, "shift": self._cells.shift, "count": self._count}
@@ -434,15 +434,15 @@ class NeighborLists:
 
         The second result is 0 if the search buffer was large enough for every sphere. Otherwise it is the largest
         number of neighbours among the spheres for which the buffer was too small. Both results are read from the device
-        array `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; the message contains
-        `what`, the name of the list, and `entries`, the name of its entries.
+        array `total`. Raises :class:`CapacityError` if 32-bit indices cannot number the entries. `what` and `entries`
+        are the names of the list and of its entries in the message.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)
         wanted, longest = found[:-1], int(found[-1])
         if np.any(wanted < 0) or wanted.sum() > MAXIMUM_ENTRIES:
             raise CapacityError(
-                f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}; use fewer "
-                "or larger aggregates"
+                f"{what} of {self.batch.sphere_count} spheres: has more than 2^31 {entries}, the largest possible "
+                "number; use fewer or larger aggregates"
             )
         return wanted, longest

@@ -35,8 +35,8 @@ def pairs_of(
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # If a pair is listed at both spheres, it has two entries in the array `other`, and one of them is negative; use
-        # the entry that is not negative. If the spheres belong to the same CPU thread, a half list contains the pair
-        # only once; always use that entry.
+        # A pair that is listed at both spheres has two entries in the array `other`, one of them negative. The line
+        # above selects the other entry. A half list contains a pair only once if both spheres belong to the same CPU
+        # thread. Select this single entry, whatever its sign is.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

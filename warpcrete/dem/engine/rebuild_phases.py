@@ -35,7 +35,7 @@ class Chunks:
 
 
 class Rebuild:
-    """All phases of a rebuild of the neighbour lists, as recorded launches of kernels on the batch's present arrays.
+    """All phases of a rebuild of the neighbour lists, as recorded launches of kernels on the batch's current arrays.
 
     A section is a sequence of consecutive phases. A rebuild by the host, a rebuild that a CUDA graph starts by itself,
     and a restart from a checkpoint launch different sections. Between two sections, the host or the graph checks

@@ -40,8 +40,11 @@ class Regrouping:
         self._few = 0
 
     def __call__(self, steppers: Sequence[SceneStepper]) -> None:
-        """Move the running scenes, which `steppers` advance, to a new batch, if they contain few spheres and the memory
-        suffices."""
+        """Move the running scenes, which `steppers` advance, to a new batch if this is worthwhile.
+
+        The running scenes must contain only a small part of the batch's spheres, and the new batch must fit into the
+        free memory.
+        """
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
         if not batch.parallel or len(steppers) == batch.count or spheres > LARGEST_SHARE * batch.sphere_count:
@@ -58,7 +61,7 @@ class Regrouping:
 
 
 def regroup(steppers: Sequence[SceneStepper]) -> None:
-    """Move the scenes of the given steppers, all of one batch, to a new batch; their results stay bitwise identical."""
+    """Move the scenes of `steppers` from their common batch to a new batch; results stay bitwise identical."""
     old = steppers[0].batch
     old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

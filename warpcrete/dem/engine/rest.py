@@ -12,7 +12,7 @@ from ..scene.scene import Bonds, Scene
 def bonds_after_rest(scene: Scene) -> Bonds | None:
     """Return the scene's bonds with the strength that they have after the scene's rest.
 
-    The result is None if the scene has no bonds or no rest, which is a time in which the concrete stands still.
+    In a rest, the concrete stands still. The result is None if the scene has no rest or no bonds.
     """
     if scene.rest is None or scene.bonds is None:
         return None
@@ -23,7 +23,7 @@ def bonds_after_rest(scene: Scene) -> Bonds | None:
 
 
 def has_layer(scene: Scene, law: type) -> bool:
-    """Return whether a scene contains a rest and walls with a lubrication layer, which gains strength in a rest.
+    """Return whether a scene contains a rest and walls with a lubrication layer, which gains strength during the rest.
 
     `law` is the class of the contact law between bodies and walls.
     """

@@ -164,7 +164,7 @@ class _Drive:
 
     @staticmethod
     def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
-        """Return the work that a GPU launches after each group of time steps, in two variants.
+        """Return two variants of the work that a GPU launches after each group of time steps.
 
         The first variant rebuilds stale neighbour lists. The second does the same and then estimates stable time steps.
         A GPU can rebuild lists without the host only for a batch of one scene. For several scenes, the first variant is
@@ -207,9 +207,8 @@ def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
     """Run the coroutines of all scenes of one batch to their ends.
 
     `scenes` maps the number of each scene to its stepper, which advances the scene, and its coroutine. The result maps
-    these numbers to what each coroutine returned or raised. Afterwards the steppers may belong to different batches and
-    must not be passed to this function together again. An interruption (Ctrl-C) is raised inside every coroutine that
-    is waiting.
+    these numbers to what each coroutine returned or raised. An interruption (Ctrl-C) is raised inside every coroutine
+    that is waiting. The function may move some scenes to another batch, so do not pass the same steppers to it again.
     """
     (results,) = drive_batches([(scenes, None)])
     return results
@@ -221,9 +220,9 @@ def drive_batches(
     """Run the coroutines of several batches at the same time, each batch on its own GPU stream, as :func:`drive` does.
 
     `groups` contains for each batch its scenes, as in :func:`drive`, and its stream (None: the default stream). While
-    some batches step, the host serves other batches. The host must therefore read arrays through an `Exchange`, which
-    copies asynchronously, because ``numpy()`` waits for all streams. With `regroups`, a batch is made smaller once most
-    of its scenes have ended.
+    the GPU computes steps of some batches, the host serves others. The host must therefore read arrays through an
+    `Exchange`, which copies asynchronously, because ``numpy()`` waits for all streams. With `regroups`, a batch is made
+    smaller once most of its scenes have ended.
     """
     drives = [_Drive(*group, regroups=regroups) for group in groups]
     stop: KeyboardInterrupt | None = None

@@ -19,12 +19,12 @@ from .struct_types import Estimate
 
 
 class StableStep:
-    """Estimate of a scene's largest stable step from its masses and the present stiffness of contacts and bonds.
+    """Estimate of a scene's largest stable step from its masses and the current stiffness of contacts and bonds.
 
     The estimate is stored in the column STABLE of the array `clock`, which has a row for each scene. The size of the
-    next step, in the column DT, follows from the estimate and from the settings of the scene. A step that the program
-    chooses obeys two more limits. Impacts with little dissipation must keep their energy to about 1 %, and fast bodies
-    must move by no more than a fraction of their radius per step.
+    next step, in the column DT, follows from the estimate and from the settings of the scene. An automatic step obeys
+    two more limits: the energy error of an impact with little dissipation stays below about 1 %, and even the fastest
+    bodies move by no more than a fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -78,7 +78,7 @@ class StableStep:
             self._launch(scenes[0])()
 
     def by_device(self, first: Sequence[Recordable] = ()) -> GraphLaunch:
-        """Return a GPU launch that estimates the stable steps of all scenes that have halted to get an estimate.
+        """Return a GPU launch that estimates the stable steps of all scenes that have halted for an estimate.
 
         The scenes then continue without the host. The launches `first` run before the estimate.
         """

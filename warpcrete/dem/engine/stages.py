@@ -140,9 +140,9 @@ def _full_step(batch: Batch) -> list[Stage]:
 
 
 def wall_lane_bits(batch: Batch) -> int:
-    """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
+    """Return the base-2 logarithm of the number of GPU threads that check one sphere against all planes and pipes."""
     most = int(batch.rows["analytic"].max())
-    # One thread per sphere computes one or two walls as fast as several threads would.
+    # With one or two walls, several threads per sphere would not be faster than one thread.
     if warp_width(batch.device) == 1 or most <= 2:
         return 0
     bits = min((most - 1).bit_length(), WALL_LANE_BITS)

@@ -41,8 +41,7 @@ NUMBERS = (
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return the names of all arrays that a state stores, by the name of their struct. Arrays named in OF_BATCH are
-    left out."""
+    """Return, for each struct of a state, the names of the arrays that the state stores; OF_BATCH lists exceptions."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
@@ -54,7 +53,7 @@ class HoldingBatch(Protocol):
     """Protocol of the batch to which a state belongs, for modules that cannot import the class `Batch`.
 
     The module `state` cannot import it, because the module `batch` imports `state`. The measuring functions in `probes`
-    reach a batch only through a state.
+    access a batch only through a state.
     """
 
     device: wp.Device
@@ -90,7 +89,7 @@ class HoldingBatch(Protocol):
     def host_clock(self) -> np.ndarray:
         """Return simulated time, time step and other time data of each scene, shape (scenes, CLOCK).
 
-        `kernels/dem/structs.py` says what each column contains. Callers must not change the array.
+        `kernels/dem/structs.py` lists the columns and their units. Callers must not change the array.
         """
         ...
 
@@ -124,7 +123,7 @@ class State:
     spheres: Spheres
     """Struct `Spheres` of arrays with one row for each sphere, such as positions and forces."""
     slots: Slots
-    """Struct `Slots` of arrays with a row for each sphere. Each column (slot) has room for one contact of the sphere
+    """Struct `Slots` of arrays with a row for each sphere. Each column (slot) stores one contact of the sphere
     with a wall."""
     pairs: Pairs
     """Struct `Pairs` of arrays that form the neighbour list, with contact history and bonds."""
@@ -165,7 +164,8 @@ class State:
     def _fill(self, struct: str, **arrays: HostArray | Shape) -> None:
         """Create arrays of the struct `struct` on the device.
 
-        Each keyword is the name of an array. Its value is the array's host data, or a shape for an array of zeros.
+        Each keyword is the name of an array. Its value is the host data of the array, or the shape of an array of
+        zeros.
         """
         target = getattr(self, struct)
         variables = struct_of(self.structs, struct).vars
@@ -301,7 +301,7 @@ class State:
     def launches(self, version: int) -> dict[str, Callable[[], Any]]:
         """Return the dictionary in which the functions of `probes` keep the recorded launches of their measurements.
 
-        The keys are names of measurements. `version` is the present version of the batch. If it has changed since the
+        The keys are names of measurements. `version` is the current version of the batch. If it has changed since the
         last call, the dictionary is emptied, because the recorded launches may refer to arrays that have been replaced.
         """
         if self._launches[0] != version:
@@ -377,7 +377,7 @@ each listed pair only if contacts can form bonds during the run. Otherwise it ha
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
-    """Return the size [B] of one entry, by array name, of the arrays with an entry for every listed pair.
+    """Return the size of one entry [B] of each array with an entry for every listed pair, by array name.
 
     Arrays that the scene does not need are left out.
     """

@@ -20,7 +20,10 @@ Checkpoints need not store these arrays.
 
 
 def state_dict(state: State) -> dict[str, Any]:
-    """Return all data of a state that the next step depends on: arrays by struct and name, control flags, numbers."""
+    """Return all data of a state that the next step depends on.
+
+    They are the arrays by struct and name, the control flags, and the attributes listed in NUMBERS.
+    """
     numbers = {name: getattr(state, name) for name in NUMBERS}
     stored: dict[str, Any] = {"numbers": numbers, "flags": host_copy(state.flags)}
     for struct, name, array in state.arrays():

@@ -156,7 +156,8 @@ class Stepper:
     def change(self, **settings: float) -> None:
         """Change parameters of the scene for the next steps.
 
-        They are `local_damping`, `growth_rate`, `growth_end`, and `held`, which is 1 while all walls stand still.
+        `settings` may contain `local_damping`, the growth of sizes (`growth_rate` and `growth_end`), and `held`, which
+        is 1 while all walls stand still.
         """
         self.batch.set(self.index, **settings)
 
@@ -180,8 +181,7 @@ class Stepper:
         return made
 
     def hydrate(self, fraction: float, seed: int) -> int:
-        """Turn a random `fraction` of the bonds of the first kind into hydrated bonds; return the number of hydrated
-        bonds."""
+        """Hydrate a random `fraction` of the bonds of the first kind; return the number of hydrated bonds."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, 1, HYDRATED, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -191,10 +191,10 @@ class Stepper:
     def apply_rest(self) -> float:
         """Apply the effects of a time in which the concrete stands still (a rest).
 
-        Bonds and lubrication layer gain strength, and all unbonded pairs are bonded.
+        Bonds and lubrication layer gain strength, and all pairs with a gap of at most `Bonds.gap` are bonded.
 
-        Returns the present travel [m] of the wall `Rest.wall`. The slip along the wall after the rest is measured from
-        this travel.
+        Returns the distance [m] that the wall `Rest.wall` has moved so far. The slip along the wall after the rest is
+        measured from this distance.
         """
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
@@ -230,7 +230,7 @@ class Stepper:
     def restart_clock(self) -> None:
         """Set time, step count and all sums over time to zero, such as wall impulses, work and dissipated energy.
 
-        The next step begins the leapfrog scheme anew, with half a velocity step.
+        The next step starts the leapfrog scheme again, with a velocity update over half a step.
         """
         state = self.state
         with self.batch.changing():
@@ -256,7 +256,7 @@ class Stepper:
         spheres.velocity.assign(velocity)
 
     def estimate(self) -> float:
-        """Estimate and return the present stable step without safety factor [s], which is infinite without bodies."""
+        """Estimate the current stable step; return it without safety factor [s]. It is infinite without bodies."""
         self._set_step()
         self.stable_step(self.index)
         return self.state.stable_step if self.state.body_count else math.inf
@@ -326,9 +326,9 @@ class Stepper:
     def reaching(self, goal: Until | Steps) -> Coroutine:
         """Advance the scene to `goal`, which is a time or a number of steps of the current size.
 
-        The scene ends at a time that exceeds the goal by less than one step. This coroutine yields whenever the batch
-        must step. It must be resumed when the scene has halted. The scene halts when it has reached the goal or needs a
-        new estimate of its stable step.
+        A goal in time is exceeded by less than one step. This coroutine yields whenever the batch must launch steps. It
+        must be resumed when the scene has halted, because it has reached the goal or needs a new estimate of its stable
+        step.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)

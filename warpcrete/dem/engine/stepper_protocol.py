@@ -17,7 +17,7 @@ from .state import State
 
 @dataclass(frozen=True)
 class Steps:
-    """Goal of a scene's coroutine: `count` more time steps of the current size. Another kind of goal is a time."""
+    """Goal of a scene's coroutine: `count` more time steps of the current size. The alternative is a goal in time."""
 
     count: int
 

@@ -107,7 +107,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Select the sub-cycled pairs of scene `s`: all pairs whose bonds are hydrated at present."""
+        """Select the sub-cycled pairs of scene `s`: all pairs whose bonds are currently hydrated."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)

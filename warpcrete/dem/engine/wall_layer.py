@@ -48,7 +48,7 @@ class Structure:
         return DeviceArray(np.asarray(values, dtype=float), dtype=wp.float64, device=self.batch.device)
 
     def stage(self) -> Stage:
-        """Return the launch that computes the present yield stress of each scene's lubrication layer.
+        """Return the launch that computes the current yield stress of each scene's lubrication layer.
 
         The layer gained yield stress while the concrete was at rest. The more the layer has slipped along the wall
         since the rest, the more of this gain it has lost.

@@ -64,7 +64,7 @@ class ContactLaw(Declared, ABC):
         - `stiffness(p, touch)` returns the stiffnesses k_n, k_s [N/m] and the dashpots c_n, c_s [N s/m] for the
           estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows. For a
           normal force k d^n with n > 1 at the overlap d, return the tangent stiffness n k D^(n - 1) at the deepest
-          overlap D of an impact with the present closing speed v: D^(n + 1) = d^(n + 1) + (n + 1) m v^2 / (2 k), with
+          overlap D of an impact with the current closing speed v: D^(n + 1) = d^(n + 1) + (n + 1) m v^2 / (2 k), with
           the reduced mass m. Numbers must not be negative: leave out the negative slope of a pull that fades across a
           gap, because the stiffnesses of a body's contacts are added up, and a negative stiffness would reduce the sum.
         - `energy(p, touch, history)` returns the energy that the force stores [J].

@@ -226,7 +226,7 @@ class ElementDisplay(Display):
         """Return the stresses in all slices of the pipe [Pa], shape (slices, columns).
 
         If the time series contains stresses, they are taken from its last row. This row is at most one sampling
-        interval old, by default 0.01 s of simulated time. Otherwise the stresses are computed from the present state.
+        interval old, by default 0.01 s of simulated time. Otherwise the stresses are computed from the current state.
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)

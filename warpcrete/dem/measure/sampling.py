@@ -126,7 +126,7 @@ class Sampler:
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
     def sample(self) -> dict[str, float]:
-        """Measure the present state, append the values as a row to the time series, and return the row."""
+        """Measure the current state, append the values as a row to the time series, and return the row."""
         model, state, scene = self.model, self.state, self.model.scene
         clock = state.batch.host_clock()[state.index]
         bodies, contacts, walls = row_sums(model, state)

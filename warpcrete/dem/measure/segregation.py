@@ -168,7 +168,7 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
 
 
 def row_of(model: Model, state: State) -> dict[str, float]:
-    """Return the values of the segregation columns for the present state of a scene with a pipe."""
+    """Return the values of the segregation columns for the current state of a scene with a pipe."""
     pipe = model.scene.pipe
     assert pipe is not None
     return measured(pipe.axis, varying_bores(model.scene.stations) or pipe.radius, stones_of(state))

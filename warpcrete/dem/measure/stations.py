@@ -47,7 +47,7 @@ class StationLog:
     """Measurements, one array of shape (slices, COLUMNS) for each sample; NaN in slices that concrete did not fill."""
 
     def add(self, model: Model, state: State, travel: float) -> None:
-        """Measure all slices of the pipe in the present state, and append the sample; `travel` is the travel of the
+        """Measure all slices of the pipe in the current state, and append the sample; `travel` is the travel of the
         piston [m]."""
         self.samples.append(measured(self.stations, model, state, travel))
 
@@ -64,7 +64,7 @@ class StationLog:
 
 
 def measured(stations: Stations, model: Model, state: State, travel: float) -> np.ndarray:
-    """Measure all slices of the pipe in the present state; return an array of shape (slices, COLUMNS).
+    """Measure all slices of the pipe in the current state; return an array of shape (slices, COLUMNS).
 
     Slices that concrete does not fill are NaN.
     """
