@@ -214,7 +214,7 @@ def test_a_packing_refuses_a_law_with_the_wrong_sign_of_the_force():
     fill = Fill(
         container=PipeContainer(axis, 0.05, 0.1), sizes=Uniform(0.012, 0.016), templates=(sphere(),), pressure=500.0
     )
-    with pytest.raises(SceneError, match=r"Pulling\.force\(\) = 'a pull of .*must push stones apart"):
+    with pytest.raises(SceneError, match=r"Pulling\.force\(\) = 'a pull of .*must push overlapping stones apart"):
         pack(fill, contact=Pulling(effective_modulus=1e6), device="cpu")
 
 

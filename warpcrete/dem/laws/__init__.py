@@ -1,7 +1,7 @@
 """Contact laws, one file each: parameters for a pair of materials, and functions that compute forces on a device.
 
-Modules here import `core` and the kernels, but nothing else of `dem`. Start with `base`, the interface of a law, and go
-on with `linear`. A user can write another law anywhere, as a class like the classes of this package, and pass it to a
+Modules here import `core` and the kernels, but nothing else from `dem`. Start with `base`, the interface of a law, then
+read `linear`. A user can write another law in any file, as a class like the classes of this package, and pass it to a
 scene as `contact` or in `contacts`.
 """
 

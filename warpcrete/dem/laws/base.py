@@ -62,11 +62,12 @@ class ContactLaw(Declared, ABC):
           in the step [J]. The history is any vector that the law needs in the next step. In laws with a shear spring it
           is the shear force.
         - `stiffness(p, touch)` returns the stiffnesses k_n, k_s [N/m] and the dashpots c_n, c_s [N s/m] for the
-          estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows. For a
-          normal force k d^n with n > 1 at the overlap d, return the tangent stiffness n k D^(n - 1) at the deepest
-          overlap D of an impact with the current closing speed v: D^(n + 1) = d^(n + 1) + (n + 1) m v^2 / (2 k), with
-          the reduced mass m. Numbers must not be negative: leave out the negative slope of a pull that fades across a
-          gap, because the stiffnesses of a body's contacts are added up, and a negative stiffness would reduce the sum.
+          estimate of the stable time step. They must be large enough for the next steps, in which the overlap may
+          grow. For a normal force k d^n with n > 1 at the overlap d, return the tangent stiffness n k D^(n - 1) at the
+          deepest overlap D of an impact with the current closing speed v: D^(n + 1) = d^(n + 1) + (n + 1) m v^2 /
+          (2 k), with the reduced mass m. None of the four values may be negative. If an attractive force decreases with
+          distance, leave out its negative slope: the stiffnesses of a body's contacts are added up, and a negative
+          value would reduce the sum.
         - `energy(p, touch, history)` returns the energy that the force stores [J].
 
         A law that `rolls` has two more functions:
@@ -103,7 +104,7 @@ class ContactLaw(Declared, ABC):
 
     @abstractmethod
     def frictionless(self) -> "ContactLaw":
-        """Return a copy of the law for packing aggregates, without friction and with enough damping to come to rest."""
+        """Return a copy of the law for packing, without friction, but with enough damping to bring bodies to rest."""
 
     def gripped(self, grip: float) -> "ContactLaw":
         """Return a copy of the law for a rough wall, with `grip` times the resistance of a body to sliding and rolling.
@@ -180,11 +181,11 @@ def _functions(law: type[ContactLaw], scalar: Any) -> SimpleNamespace:
 
 @functools.cache
 def _struct(name: str, fields: tuple[tuple[str, Any], ...]) -> Any:
-    """Return the Warp struct with a name and fields; calls with equal arguments return the same object.
+    """Return the Warp struct with the given name and fields; calls with equal arguments return the same object.
 
-    Warp merges kernels whose code is equal, but refuses arrays whose struct is an equal struct in another object. This
-    matters if a cell of a notebook that defines a law is run again, or if two files define equal laws. Structs with
-    other fields need another name, because one kernel may contain the laws of two files.
+    Warp uses one kernel for all functions with equal code, and this kernel accepts arrays of one struct object only,
+    not of an equal struct. Two equal structs would arise if a notebook cell that defines a law is run again, or if two
+    files define equal laws. Structs with different fields get different names, because one kernel may contain two laws.
     """
     text = " ".join(f"{field} {getattr(kind, 'key', None) or kind.__name__}" for field, kind in fields)
     mark = hashlib.sha256(text.encode()).hexdigest()[:8]

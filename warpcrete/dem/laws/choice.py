@@ -28,7 +28,7 @@ law."""
 class LawChoice:
     """Contact law.
 
-    The parameter replaces the scene's own contact law by another law, for all contacts.
+    Parameter that replaces the scene's own law by another law, for contacts between aggregates and on walls.
     """
 
     contact: Annotated[
@@ -43,7 +43,8 @@ class LawChoice:
 class WallLawChoice:
     """Contact law.
 
-    The parameter chooses another law for the contacts of aggregates with pipe and piston.
+    Parameter that chooses another law only for the contacts of aggregates with pipe and piston. Its heading in the
+    help is the same as that of :class:`LawChoice`, so that both parameters appear together.
     """
 
     common: ClassVar[tuple[str, ...]] = ()

@@ -1,4 +1,4 @@
-"""Checks of a contact law's class and of its Warp functions, for laws from outside of this package.
+"""Checks of a contact law's class and of its Warp functions, for laws that are defined outside this package.
 
 A law of the package is tested before it is released. A law of a user is tested here, before its first run: first the
 class itself, then its functions, which Warp compiles, and finally the forces and energies (in `trial`).
@@ -61,7 +61,7 @@ _WHERE = re.compile(r'Error while parsing function "([^"]+)" at (.*?):(\d+):\s*?
 
 @functools.cache
 def check_class(law: type) -> None:
-    """Raise :class:`SceneError` if a contact law of the user's cannot work because of its class alone."""
+    """Raise :class:`SceneError` if the class of a user's contact law has an error, whatever its parameters are."""
     name = law.__name__
     for base in law.__mro__:
         if _without_decorator(base):
@@ -109,9 +109,9 @@ def _without_decorator(base: type) -> bool:
 def _check_field(name: str, field: Field) -> None:
     example = 'write, for example, Annotated[float, "friction coefficient", Within(0)]'
     if not isinstance(field.help, str):
-        refuse(name, field.help, "must have its meaning and its unit, as text, behind the type", example)
+        refuse(name, field.help, "must have a text with its meaning and unit after the type", example)
     if field.optional:
-        refuse(name, "None", "must always have a value, because kernels know no None", "leave out '| None'")
+        refuse(name, "None", "must always have a value, because kernels cannot handle None", "leave out '| None'")
     if field.kind in (float, int, bool) or hasattr(field.kind, "device_functions"):
         return
     if field.kind is str:
@@ -119,8 +119,8 @@ def _check_field(name: str, field: Field) -> None:
             refuse(
                 name,
                 "a text",
-                "must be one of known words, because kernels know no texts",
-                "add OneOf((WORD, WORD)) behind the help text",
+                "must be restricted to given words, because kernels cannot handle text",
+                "add OneOf((WORD, WORD)) after the help text",
             )
         return
     refuse(
@@ -139,7 +139,7 @@ def check_object(law: Any) -> None:
         if callable(value):
             refuse(f"{name}.{own}", "a method", "must be a value or a property", "write @property above the method")
         if own == "stress_scale" and not (is_number(value) and 0 < value < float("inf")):
-            refuse(f"{name}.{own}", value, "must be a finite number above 0 Pa", "return a stress of a deep contact")
+            refuse(f"{name}.{own}", value, "must be a finite number above 0 Pa", "return the stress of a deep contact")
         if own != "stress_scale" and not isinstance(value, bool):
             refuse(f"{name}.{own}", value, "must be True or False", "compare numbers, as in self.friction > 0")
 
@@ -207,7 +207,7 @@ def _check_function(law: type, name: str, function: Any, arguments: tuple[str, .
 
 
 def explained(law: type, error: Exception) -> NoReturn:
-    """Raise a :class:`SceneError` that says in one line what Warp refused in the functions of a user's contact law."""
+    """Raise a :class:`SceneError` with one line on why Warp cannot compile the functions of a user's contact law."""
     text = str(error)
     found = list(_WHERE.finditer(text))
     reason = " ".join(text[found[-1].end() :].split()) if found else _said(error)
@@ -226,12 +226,12 @@ def explained(law: type, error: Exception) -> NoReturn:
 
 
 def _hint(law: type, reason: str) -> str:
-    """Return a hint on what to try after Warp has refused a statement for the given `reason`."""
+    """Return a hint on how to correct a statement that Warp could not compile; `reason` is the message of Warp."""
     known = declared_fields(law)
     plain = [field.name for field in fields(law) if field.name not in known]
     if (wrong := re.search(r"`(\w+)` is not an attribute of '(\w+)'", reason)) is not None:
         if wrong[1] in plain:
-            return f'declare the parameter as {wrong[1]}: Annotated[float, "meaning [unit]"], so that kernels know it'
+            return f'declare {wrong[1]}: Annotated[float, "meaning [unit]"], so that kernels can use this parameter'
         names = list(known) if wrong[2] == "p" else TOUCH
         return f"{wrong[2]}.{wrong[1]}: {known_names(wrong[1], names)}"
     if "float32" in reason and "float64" in reason:

@@ -1,8 +1,9 @@
 # pyright: reportInvalidTypeForm=false
 """Perfectly plastic mortar shells: one slider for all relative motion of a contact, along its normal and across it.
 
-Spheres have hard cores with soft shells, as in :class:`BinghamMortar`. A spring follows any relative motion of the two
-surfaces. Its force grows up to a limit F, then it slips. A drag resists the whole relative velocity.
+Spheres have hard cores with soft shells, as in :class:`BinghamMortar`. A spring resists any relative motion of the two
+surfaces. Once the spring's force has reached a limit F, the contact slips and the force stays F. A drag resists the
+whole relative velocity.
 
 If contacts in all directions n follow a flow with the strain rate tensor D, the slider of each contact dissipates F |D
 n| per unit of the contact's length. The mean of |D n| over all directions is pi/8 of the rate in simple shear and 0.69

@@ -1,13 +1,14 @@
-"""Trial of contact laws from outside of this package: forces, energies and reach in contacts of two bodies.
+"""Trial of contact laws that are defined outside this package: forces, energies and reach between two bodies.
 
-A kernel moves two equal spheres, or a sphere and a wall, along prescribed paths and calls the functions of the law as a
-run does. The checks compare what the functions return. They do not use the formulas of the law, so they hold for any
-law:
+A kernel moves two equal spheres, or a sphere and a wall, along prescribed paths and calls the functions of the law in
+the same way as the kernels of a run. The checks compare the returned values with each other. They do not use the
+formulas of the law, so they apply to any law:
 
 - The work that `force` does along a path is the change of `energy` plus the energy lost.
 - `stiffness` returns at least half of the stiffness that follows from `force`, because this value limits the time step.
 - A force at rest has no part along the contact plane, and friction and dashpots act against the motion.
-- All laws of a scene begin to push at the same overlap. This overlap is twice the thickness of a coat.
+- All laws of a scene begin to push at the same overlap. This overlap is 0, or twice the thickness of the stones' coats;
+  a coat is a layer around a stone that other spheres may enter.
 """
 
 import math
@@ -53,7 +54,7 @@ STRESS_FACTOR = 30.0
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Bodies of a scene for which contact laws are tried."""
+    """Spheres and settings with which the contact laws of a scene are tried."""
 
     radius: float
     """Radius of the spheres with which a contact law is tried [m]."""
@@ -75,11 +76,11 @@ class Circumstances:
 
 
 def check_own_laws(bodies: Iterable[ContactLaw], walls: Iterable[ContactLaw], where: Circumstances) -> None:
-    """Try the contact laws between `bodies` and the contact laws on `walls`, if one of them is defined outside the
-    package.
+    """Try all contact laws of a scene, if any of them is defined outside this package.
 
-    Raises :class:`SceneError`, which names the function that is wrong, what it returned and what to try. The check
-    covers the law for packing that the method `frictionless` returns.
+    `bodies` contains the laws between bodies, and `walls` contains the laws on walls. Raises :class:`SceneError` with
+    the name of the function that is wrong, its result and a hint. The trial includes the laws for packing that the
+    method `frictionless` returns.
     """
     laws = list({id(law): law for law in (*bodies, *walls)}.values())
     if not own_laws(laws):
@@ -96,8 +97,10 @@ def check_own_laws(bodies: Iterable[ContactLaw], walls: Iterable[ContactLaw], wh
 
 @dataclass(frozen=True)
 class _Onset:
-    """Overlaps at which a law begins to push [m], for two spheres and for a wall; None if the force does not grow with
-    the overlap."""
+    """Overlaps [m] at which a law begins to push two spheres apart (`pair`), and a sphere off a `wall`.
+
+    An overlap is None if the force does not grow with the overlap.
+    """
 
     name: str
     pair: float | None
@@ -110,9 +113,9 @@ def _same_reach(one: _Onset, other: _Onset, where: Circumstances) -> None:
         if right is not None and wrong is not None and abs(right - wrong) > ONSET_TOLERANCE * where.radius:
             refuse(
                 other.name,
-                f"pushes {what} apart from an overlap of {wrong:.3g} m on",
-                f"must begin to push at {right:.3g} m like {one.name}, because all stones have equally thick coats",
-                "give both laws the same reach; a law of the same class may have no pull",
+                f"begins to push {what} apart at an overlap of {wrong:.3g} m",
+                f"must begin at {right:.3g} m like {one.name}, because the coats of all stones are equally thick",
+                "give both laws the same reach; to leave out a pull, set its force to 0, but not its reach",
             )
 
 
@@ -187,7 +190,10 @@ def _march(
 
 
 def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> None:
-    """Check a slow path into a contact and out of it, on which only springs act."""
+    """Check values along a slow path, on which a contact closes and opens again and only its springs act.
+
+    The path has no sliding; `depth` is the overlap at each of its steps [m].
+    """
     name = type(law).__name__
     for label in ("force", "stiffness", "energy"):
         wrong = np.argwhere(~np.isfinite(getattr(found, label)))
@@ -227,8 +233,7 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
         refuse(
             f"{name}.force()",
             f"a pull of {-push.min():.3g} N at an overlap of {depth[push.argmin()]:.3g} m",
-            "must push stones apart that overlap much; the normal points from body a to body b, and the force acts "
-            "on body a",
+            "must push overlapping stones apart; the normal points from body a to body b, and the force acts on body a",
             "return the opposite sign",
         )
     zero, most = np.abs(found.energy[:, 0]).max(), np.abs(found.energy).max()
@@ -251,15 +256,16 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             f"{name}.stiffness()",
             f"k_n = {told[place]:.3g} N/m at an overlap of {depth[FIRST_STEP + place[1]]:.3g} m",
             f"must be at least the slope of force(), which is {slope[place]:.3g} N/m, so that steps are stable",
-            "return the derivative of the force by the overlap",
+            "return the derivative of the force with respect to the overlap",
         )
-    # `stress` is the stress of a linear spring in a contact whose overlap is as large as the diameter of the stones.
-    # This overlap is 2 / DEEPEST times the deepest overlap of the path.
+    # `stress` is the force of a linear spring divided by the square of the stones' diameter, at an overlap as large as
+    # this diameter. The deepest overlap of the path is DEEPEST times the radius, so this overlap is 2 / DEEPEST times
+    # as large.
     stress = push[-1] * (2 / DEEPEST) / (2 * depth.max() / DEEPEST) ** 2
     if stress > 0 and not 1 / STRESS_FACTOR < law.stress_scale / stress < STRESS_FACTOR:
         warn(
             f"{name}.stress_scale = {law.stress_scale:.3g} Pa: force() gives a stress of {stress:.3g} Pa in a deep "
-            "contact; divide the force between two stones that overlap by their own size by the square of this size"
+            "contact; return F / d^2, where F is the force between two stones of diameter d at the overlap d"
         )
 
 
@@ -267,7 +273,7 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
     """Check that the work of the force on a path is the change of the stored energy plus the energy lost."""
     name = type(law).__name__
     step = found.work.copy()
-    step[:, 0] = step[:, 1]  # A law may not act yet at the gap 0, so use the next value instead.
+    step[:, 0] = step[:, 1]  # At the gap 0, a law may return no force yet, so use the next value instead.
     step = 0.5 * (step[:, 1:] + step[:, :-1])
     work, scale = np.cumsum(step, axis=1), np.cumsum(np.abs(step), axis=1)
     lost = np.cumsum(found.lost[:, 1:], axis=1)
@@ -285,13 +291,13 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
         refuse(
             f"{name}.energy()",
             f"{now:.3g} J at an overlap of {overlap:.3g} m {what}",
-            f"must be {right:.3g} J there, the work that force() does against the bodies from the gap 0 on",
+            f"must be {right:.3g} J there, the work done against force() on the way from the gap 0",
             "return the opposite sign" if opposite else "integrate the force over the overlap, without dashpots",
         )
     refuse(
         f"{name}.force()",
-        f"{lost[wall, k]:.3g} J lost up to an overlap of {overlap:.3g} m {what}",
-        f"must be {work[wall, k] - now:.3g} J, the work of the force minus the change of energy()",
+        f"an energy loss of {lost[wall, k]:.3g} J up to an overlap of {overlap:.3g} m {what}",
+        f"must be {work[wall, k] - now:.3g} J, the work done against the force minus the change of energy()",
         "return as third value the energy that dashpots and slip dissipate in the step; energy that a spring stores "
         "belongs to energy()",
     )
@@ -308,14 +314,14 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
     if dashpot.min() * speed < -ROUNDING * size:
         refuse(
             f"{name}.force()",
-            f"a push that falls with the closing speed by {-dashpot.min():.3g} N s/m",
+            f"a normal dashpot of {dashpot.min():.3g} N s/m",
             "must resist the motion; touch.velocity is the velocity of body b relative to body a",
             "return the opposite sign of the normal dashpot",
         )
     if slid.side.min() < -ROUNDING * np.abs(slid.side).max():
         refuse(
             f"{name}.force()",
-            f"a force of {slid.side.min():.3g} N along the sliding of body b",
+            f"a force of {slid.side.min():.3g} N on body a in the direction in which body b slides",
             "must drag body a along with body b; touch.velocity is the velocity of body b relative to body a",
             "return the opposite sign of the shear force",
         )
@@ -344,13 +350,13 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
             refuse(
                 f"{name}.stiffness()",
                 f"{label} = {told[place]:.3g} {unit} at an overlap of {depth[place[1]]:.3g} m",
-                f"must be at least the value that follows from force(), {acts[place]:.3g} {unit}, for stable steps",
+                f"must be at least {acts[place]:.3g} {unit}, the value that follows from force(), so that steps are stable",
                 "return k_n, k_s, c_n and c_s in this order",
             )
 
 
 def _check_gap(law: ContactLaw, found: SimpleNamespace) -> None:
-    """Check that a law does not act where the bodies do not touch, for a scene with bonds."""
+    """Check that a law returns no force at a positive gap; scenes with bonds call the law there."""
     most = np.abs(found.force).max()
     if most > 0:
         refuse(

@@ -45,7 +45,7 @@ QUADRATURE = 24
 
 
 class BlockageWatch:
-    """Check for blockage, which compares the motion of concrete and piston at intervals of piston travel.
+    """Detector of blockages: at intervals of piston travel, it compares the motion of the concrete with the piston's.
 
     It records the first blockage of the pipe.
     """
@@ -117,7 +117,8 @@ class BlockageWatch:
     def _widening(self, s: np.ndarray) -> np.ndarray | float:
         """Return the area of the bore at the arc lengths `s` [m], divided by its area at the piston.
 
-        The advance of an aggregate times this ratio is its advance measured by volume.
+        An aggregate in a narrower bore moves faster than the piston. Its advance times this ratio is the travel of a
+        piston that displaces the same volume.
         """
         return 1.0 if self.bores is None else (self.bores.at(s) / self.radius) ** 2
 

@@ -180,7 +180,7 @@ class ElementDisplay(Display):
         return self._largest_forces()
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return the plots of quantities over time: pressure on a piston, or shape in a vessel; and energies."""
+        """Return the plots over time: energies, the pressure on a piston, and the shape of the concrete in a vessel."""
         scene, found = self.simulation.scene, []
         if scene.pressure is not None:
             pressure = Curve("piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3, RUN)
@@ -213,16 +213,16 @@ class ElementDisplay(Display):
         return tuple(found)
 
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mid-points of all filled slices along the pipe [m], and the stress `column` in them [kPa]."""
+        """Return the mid-points of all filled slices along the pipe [m] and their stress [kPa] named `column`."""
         stations = self.simulation.scene.stations
         # All curves of a frame share one measurement, so repeat it only when the simulated time has changed.
         if self._latest is None or self._latest[0] != self.time:
-            self._latest = self.time, self._present_stresses(stations)
+            self._latest = self.time, self._current_stresses(stations)
         values = self._latest[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
-    def _present_stresses(self, stations: Stations) -> np.ndarray:
+    def _current_stresses(self, stations: Stations) -> np.ndarray:
         """Return the stresses in all slices of the pipe [Pa], shape (slices, columns).
 
         If the time series contains stresses, they are taken from its last row. This row is at most one sampling
@@ -267,7 +267,7 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        # Average over the bodies between two ranks in the order of arc length; find these ranks.
+        # Leave out the bodies at both ends of the concrete: find the arc lengths between which bodies are averaged.
         low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
         # Give bodies outside the averaged range the weight 0, which is faster than selecting the bodies inside it.
@@ -363,8 +363,8 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        # In a scene with hydration, the kind 2 stands for hydrated bonds. In other scenes it stands for other bonds,
-        # such as the bonds inside a body group, so all bonds are drawn with the same colour.
+        # Bonds of kind 2 are hydrated bonds only if the scene has hydration. In other scenes kind 2 is used for other
+        # bonds, such as the bonds inside a body group, so all bonds get the same colour.
         if not self.simulation.scene.hydration:
             return {"contacts": lines(touching & (kinds <= 0)), "bonds": lines(kinds > 0)}
         hydrated = kinds == int(HYDRATED)

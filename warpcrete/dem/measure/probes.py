@@ -115,9 +115,9 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Read sums over all bodies or contacts from the device; return one array for each name in `what`.
+    """Read the measured sums from the device: for "bodies" in `what` those over bodies, for "contacts" over contacts.
 
-    Each name is "bodies" or "contacts".
+    The result contains one array for each name in `what`.
     """
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
@@ -198,8 +198,8 @@ def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, max
 def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
     """Return a launch of `kernel` with `dim` tasks (threads) for the scene to which `state` belongs.
 
-    `named` has arguments of the kernel by name. Parameters that `named` leaves out receive the batch's arrays of the
-    same name, and the parameter `s` receives the scene's number in the batch.
+    `named` contains arguments of the kernel by name. All other parameters receive the batch's arrays of the same name,
+    and the parameter `s` receives the index of the scene in the batch.
     """
     batch = state.batch
     arguments = completed(kernel, named, {"s": state.index, **batch.kernel_arrays})

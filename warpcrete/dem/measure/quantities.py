@@ -376,7 +376,7 @@ def quantities() -> tuple[Quantity, ...]:
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the title and text of further lines of the summary: missing plateau, blockage, wear and packing."""
+    """Yield titles and texts that the summary shows besides results: missing plateau, blockage, wear, packing."""
     if words := no_plateau(run):
         end = number(run.result["end_pressure"])
         yield "plateau pressure", words

@@ -56,7 +56,7 @@ def ball_points(count: int = POINTS) -> np.ndarray:
 
 
 def stones_of(state: State) -> Stones:
-    """Return the centres, radii, volumes and sizes of all spheres of which the aggregates consist.
+    """Return the centres [m], radii [m], volumes [m3] and sizes [m] of the spheres of which the aggregates consist.
 
     The spheres are ordered by their permanent numbers. The size of a sphere is the size of the aggregate to which the
     sphere belongs. If the aggregate is a clump of several spheres, the volume of a sphere is its share of the clump's
@@ -75,8 +75,8 @@ def stones_of(state: State) -> Stones:
 def measured(axis: Any, radius: float | Bores, stones: Stones) -> dict[str, float]:
     """Measure the segregation of stones in a pipe; return the values by column name.
 
-    `radius` is the radius of the pipe [m], or its radii along the axis. `stones` are the arrays that
-    :func:`stones_of` returns, and :data:`UNITS` lists the columns.
+    `radius` is the radius of the pipe [m], or an object :class:`Bores` with the radius as a function of arc length.
+    `stones` contains the arrays that :func:`stones_of` returns, and :data:`UNITS` lists the columns.
     """
     centre, reach, volume, size = stones
     # The time series may contain only finite numbers, so return zeros for an empty pipe.

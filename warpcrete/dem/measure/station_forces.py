@@ -1,4 +1,4 @@
-"""Forces of all contacts of a state, for measurements along a pipe, and the stress sum of every body."""
+"""Forces of all contacts of a state, for measurements along a pipe, and the sum of contact stresses of every body."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,11 +30,11 @@ still fit into 64-bit integers.
 
 
 def body_stresses(model: Model, state: State, unit: float) -> wp.array:
-    """Return the sum of force times branch vector over every body's contacts, as integers, shape (bodies, 6).
+    """Return, for every body, the sum over contacts of force times branch vector, as integers, shape (bodies, 6).
 
-    Each body of a pair receives half of the pair's value. The columns are xx, yy, zz, xy, yz and zx in multiples of
-    `STRESS_RESOLUTION` times `unit` (stress times volume, [J]), in the order of the state's arrays. The array is on the
-    device, and the next call overwrites it.
+    This sum is the body's stress times volume [J]. The integers count multiples of `STRESS_RESOLUTION` times `unit`
+    [J]. The columns are xx, yy, zz, xy, yz and zx; the rows are in the order of the state's arrays. Each body of a pair
+    receives half of the pair's value. The array is on the device, and the next call overwrites it.
     """
     stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
     if state.sphere_count:

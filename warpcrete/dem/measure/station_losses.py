@@ -1,4 +1,4 @@
-"""Friction losses along a pipe, from the stresses that were measured at stations along it."""
+"""Friction losses along a pipe, from the stresses that were measured in slices (stations) along the pipe."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from ..scene.slices import FEWEST, Stations
 
 
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
-    """Return the friction losses along a pipe, from a table of the measured stress at stations along it.
+    """Return the friction losses along a pipe, from a table of the stresses in slices (stations) along the pipe.
 
     The weight of the concrete is subtracted. For a straight pipe, the losses are the pressure gradient [Pa/m] and the
     wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both losses for the straight

@@ -102,13 +102,14 @@ def stresses_along(
 ) -> np.ndarray:
     """Return the mean normal stress and the stress along the pipe in all slices [Pa], shape (slices, 2).
 
-    The results differ from the first two columns of :func:`measured`, because the stress of each body is spread evenly
-    over the size of the body. Slices that concrete does not fill are NaN. The arguments hold one entry per body:
+    The results differ from the first two columns of :func:`measured`, because the stress of each body is distributed
+    evenly over the slices that its diameter overlaps. Slices that concrete does not fill are NaN. `travel` is the arc
+    length of the piston [m]. The other arguments hold one entry per body:
 
     - `stress` (n, 6): stress times volume [J], as from :func:`body_stresses`,
     - `s` (n,): arc length [m],
     - `tangent` (n, 3): tangent of the pipe's axis at this arc length,
-    - `size` (n,): size [m],
+    - `size` (n,): diameter of the sphere of equal volume [m],
     - `fills` (n,): True for aggregates, False for the balls that close the front of the concrete.
     """
     edges, t = np.array(stations.edges), tangent
@@ -123,7 +124,8 @@ def stresses_along(
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
     """Return a mask of the slices that lie between the piston and the front of the concrete, shape (slices,).
 
-    The piston is at the arc length `travel` [m]. The bodies have the arc lengths `s` [m] and the volumes `volume`.
+    The piston is at the arc length `travel` [m]. `s` and `volume` are the arc lengths [m] and the
+    volumes of the bodies, the latter in any unit.
     """
     whole = float(volume.sum())
     if whole == 0:
@@ -132,7 +134,7 @@ def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.n
 
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
-    """Return the arc length [m] at which the bodies' volume, added up from the rear, reaches the volume `behind`."""
+    """Return the arc length [m] behind which the bodies have the total volume `behind`, in the unit of `volume`."""
     # Sort only the farthest bodies, because sorting all bodies takes four times as long as this search for the front.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
@@ -146,7 +148,7 @@ def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
 class _Spheres:
     """Spheres of a state, in order of permanent numbers.
 
-    The balls of the plug, which closes the front of the concrete, are no aggregates. Their solid volume is therefore
+    The balls of the plug, which closes the front of the concrete, do not count as aggregate, so their solid volume is
     set to 0 here.
     """
 
@@ -244,7 +246,11 @@ def _of_contacts(
 
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Distribute each row of `values` (n, k) evenly between its `begin` and `end` [m]; return sums per slice (m, k)."""
+    """Distribute each row of `values`, shape (n, k), evenly over an interval; return the sums per slice, shape (m, k).
+
+    The arc lengths `begin` and `end` [m] are the ends of the intervals, shape (n,). `edges` are the ends of the m
+    slices [m].
+    """
     # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread the
     # contact's value over a small length, because the code divides by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
@@ -259,11 +265,11 @@ def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Find all slices of the pipe that the intervals from `low` to `high` [m] overlap; yield pairs of index arrays.
+    """Yield indices of intervals and of the slices that they overlap, as pairs of equally long arrays.
 
-    `edges` are the boundaries of the slices [m]. The first pair of arrays contains the indices of all intervals and the
-    first slice of each. The second pair contains the intervals that overlap at least two slices, and the second slice
-    of each, and so on.
+    The intervals extend from `low` to `high` [m], and `edges` are the ends of the slices [m]. The first pair contains
+    every interval with its first slice. The second pair contains every interval that overlaps at least two slices, with
+    its second slice, and so on. Slices outside the range of `edges` are left out.
     """
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):

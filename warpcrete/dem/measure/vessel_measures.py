@@ -23,9 +23,9 @@ def unit_of_column(name: str) -> str | None:
 def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[str, float]:
     """Return the values that a test in a vessel records in one sample, by column name.
 
-    `spheres` has rows of centre and radius [m], shape (n, 4), n > 0. The first three columns of `velocity` are the
-    velocities of the spheres [m/s]. Speeds are measured only in the main body of the concrete, because a stray
-    aggregate may roll for a long time.
+    `spheres` has rows of centre and radius [m], shape (n, 4), n > 0. The first three columns of `velocity` are
+    the velocities of the same spheres [m/s], shape (n, 3) or wider. Speeds are measured only in the main body of the
+    concrete, because a stray aggregate may roll for a long time.
     """
     spheres = spheres.astype(float)
     speed = np.linalg.norm(velocity[:, :3].astype(float), axis=1)
@@ -96,6 +96,6 @@ def _own(test: StandardTest) -> tuple[Quantity, ...]:
 def quantities() -> list[Quantity]:
     """Return the definitions of all results of standard tests.
 
-    A result that closed-form theories predict is followed by these predictions.
+    Each result for which a test has closed-form predictions is followed by these predictions.
     """
     return quantities_of_tests(StandardTest.with_forms, outcome) + quantities_of_tests(_own, outcome)

@@ -28,8 +28,8 @@ class Watch:
         self.model, self.state = model, state
         self.limits = model.scene.watch
         self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
-        # Changes of energy smaller than `floor` are ignored. So little energy could not even lift all bodies by a
-        # hundredth of the smallest radius.
+        # Changes of energy smaller than `floor` are ignored. `floor` is the energy that lifts all bodies by a hundredth
+        # of the smallest radius.
         mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
