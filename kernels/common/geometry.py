@@ -62,9 +62,10 @@ def axis_functions(scalar):
 def triangle_functions(scalar):
     """Build the function `closest_on_triangle`, in one precision.
 
-    The function compares distances from the triangle's plane and edges. On triangles that are hundreds of times longer
-    than wide (a straight pipe in an STL file), these distances stay exact to rounding, while barycentric coordinates
-    lose accuracy.
+    The function projects the point onto the triangle's plane. If the projection lies outside one or two edges, the
+    result is the closest point of the nearest of these edges. This method is exact to rounding even on triangles that
+    are hundreds of times longer than wide (a straight pipe in an STL file), where barycentric coordinates lose
+    accuracy.
     """
     t = types(scalar)
 

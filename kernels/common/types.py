@@ -44,9 +44,9 @@ def types(scalar):
 def cpu_flags() -> str:
     """Return the compiler flags of the CPU kernels that take most of the time.
 
-    Fused multiply-add makes these kernels a tenth faster. In single precision, AVX2 is faster by another tenth than
-    AVX-512. The LLVM options must be the same as the options of all other kernels: a process has only one set of them,
-    and kernels with different options could not be compiled in parallel.
+    Fused multiply-add makes these kernels 10 % faster. In single precision, AVX2 is 10 % faster than AVX-512. The LLVM
+    options must be the same as the options of all other kernels: a process has only one set of them, and kernels with
+    different options could not be compiled in parallel.
     """
     try:
         features = set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split())
@@ -93,7 +93,7 @@ LENGTHENED = """
 
 @functools.cache
 def vector_functions(scalar):
-    """Build small vector functions of one precision.
+    """Build small functions of vectors, in one precision.
 
     ``xyz`` returns the first three components of a 4-vector, and ``pack`` appends a fourth component to a 3-vector.
     ``safe_normalize`` returns a unit vector, or a fallback for the zero vector. ``rotated_with_normal`` rotates a shear

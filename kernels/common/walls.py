@@ -1,6 +1,6 @@
 """Wall data that all methods share, and distances of points from planes and pipes (walls given by a formula).
 
-To add a wall shape with a formula, add a branch to both functions of :func:`wall_functions` and a class to
+To add another shape that a formula describes, add a branch to both functions of :func:`wall_functions` and a class to
 `geometry/walls.py`.
 """
 
@@ -70,7 +70,7 @@ def wall_struct(scalar):
 
 @functools.cache
 def wall_functions(scalar):
-    """Build `distance_to_wall` and `into_wall` for walls given by a formula (planes and pipes)."""
+    """Build `distance_to_wall` and `into_wall`, which return distance and direction from a point to a plane or pipe."""
     t = types(scalar)
     Wall = wall_struct(scalar)
     axis = axis_functions(scalar)

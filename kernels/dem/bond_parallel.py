@@ -68,8 +68,8 @@ def bond_functions(scalar):
         tan_friction_angle: scalar
         radius_multiplier: scalar  # bond radius divided by the radius of the smaller sphere
 
-        # fraction of the stresses by bending and torsion that counts when the peak stresses are compared with the
-        # strengths
+        # fraction of the stresses due to bending and torsion that is included when the peak stresses are compared with
+        # the strengths
         moment_factor: scalar
 
     @wp.func
@@ -91,12 +91,12 @@ def bond_functions(scalar):
     def bond_force(
         p: Bond, touch: Touch, stretch: scalar, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, dt: scalar
     ):
-        """Return the new force, moment and state of a bond.
+        """Return the new force and moment of a bond, and 1 if it holds or the negative code of its failure mode.
 
-        If the bond breaks, the result contains the force and moment at which it broke. `force` consists of the shear
+        If the bond breaks, the returned force and moment are those at which it broke. `force` consists of the shear
         force vector and the tension [N], `moment` of the bending moment vector and the torsion [N m]. `stretch` is the
-        exact change of the distance between the centres in this step [m]. The approximation of `stretch` by the normal
-        velocity times dt would count a rotation of the pair as stretch, with an error of first order in dt.
+        exact change of the distance between the centres in this step [m]. The normal velocity times dt would be a poor
+        approximation: it counts a rotation of the pair as stretch, with an error of first order in dt.
         """
         n = touch.normal
         k = bond_stiffness(p, touch)
@@ -109,8 +109,8 @@ def bond_functions(scalar):
 
         radius = p.radius_multiplier * touch.smaller_radius
         per_area = scalar(wp.static(float(1.0 / np.pi))) / (radius * radius)
-        # R / I = 4 / (A R), with the bond's radius R, the area A of its circular cross-section, and the second moment
-        # of area I = A R^2 / 4.
+        # A bending moment M causes the largest normal stress M R / I = 4 M / (A R), with the bond's radius R, the area
+        # A of its circular cross-section, and the second moment of area I = A R^2 / 4.
         per_section = scalar(4.0) * per_area / radius
         stress = tension * per_area
         peak_tension = stress + p.moment_factor * wp.length(bending) * per_section

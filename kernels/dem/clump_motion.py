@@ -24,7 +24,7 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
 
     - `gather` is used on a CPU, whose neighbour lists contain most pairs once (half lists).
     - `gather_with_lanes` is used on a GPU, whose lists contain every pair at both spheres (full lists). `lanes` threads
-      share a body. It also returns the energy that the body's contacts lost [J].
+      share a body. This function also returns the energy that the body's contacts lost [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -56,8 +56,8 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
     ):  # fmt: skip
         """Sum the forces on a body's spheres with `lanes` threads; all threads of a warp must call this together.
 
-        `first` is the lane (thread number in the warp) of the body's first thread. The sums run in the order of the
-        spheres, whatever the number of lanes.
+        `first` is the lane (thread number in the warp) of the body's first thread. The spheres are always added in the
+        same order, so the sums do not depend on the number of lanes.
         """
         total = t.vec3()
         torque = t.vec3()

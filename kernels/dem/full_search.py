@@ -17,7 +17,7 @@ from .structs import array_structs
 
 @wp.func
 def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
-    """Sort the entries of `other` from `begin` to `end`, a long row, with Shell sort and Knuth's gap sequence."""
+    """Sort the entries `begin` to `end` - 1 of `other` with Shell sort (Knuth's gaps), which is fast for long rows."""
     gap = wp.int32(1)
     while gap < (end - begin) / 3:
         gap = 3 * gap + 1
@@ -94,11 +94,11 @@ def recording_functions(scalar, bonds: bool):
 def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels ``search`` and ``fill``, which write a GPU's full lists: each pair is listed at both spheres.
 
-    ``search`` counts the neighbours of each sphere in `count`, which must be zero before, and stores as many of them as
-    fit in the buffer `finds`. A prefix sum of the counts then yields the start of each sphere's row in the list, and
-    ``fill`` writes the neighbours to their rows in sorted order. If there are few spheres, eight threads (`lanes`)
-    share each sphere, and each thread searches one octant. The last element of `total` receives the length of the
-    longest row that does not fit into `finds`.
+    ``search`` counts the neighbours of each sphere in `count`, which must be zero before the launch, and stores as many
+    of them as fit in the buffer `finds`. A prefix sum of the counts then yields the start of each sphere's row in the
+    list, and ``fill`` writes the neighbours to their rows in sorted order. If there are few spheres, eight threads
+    (`lanes`) share each sphere, and each thread searches one octant. The last element of `total` receives the length of
+    the longest row that does not fit into `finds`.
 
     Pairs whose bond spans a gap wider than the skin are copied from the old list. A wider search in the grid would make
     a few threads slow and let all others wait for them.

@@ -1,8 +1,8 @@
 """Uniform grid for the search of neighbouring spheres, built and queried on the device.
 
 Because no host is involved, the search can be part of a CUDA graph. The grid is periodic: positions that differ by the
-size of the grid fall into the same cell. Every position therefore has a cell. Bodies far away or a grid with few cells
-cost time, but no neighbour is missed.
+size of the grid fall into the same cell. Every position therefore has a cell. If bodies are far apart or the grid has
+few cells, distant bodies share cells, which costs time, but no neighbour is missed.
 """
 
 import functools
@@ -30,7 +30,7 @@ def grid_struct(scalar):
         start: wp.array(dtype=wp.int32)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
 
-        # number of each point among the points of its cell, from 0, in the arbitrary order of counting, shape (points,)
+        # rank of each point among the points of its cell, counted from 0 in arbitrary order, shape (points,)
         rank: wp.array(dtype=wp.int32)
         point: wp.array(dtype=wp.int32)  # point indices, sorted by cell, shape (points,)
 
@@ -59,7 +59,7 @@ def grid_functions(scalar) -> SimpleNamespace:
     def along(v: scalar) -> wp.int32:
         """Return the index along one axis of the cell that contains `v`, a coordinate divided by the cell width."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # The comparison is false for a NaN, so a NaN becomes -far.
+        place = wp.where(v > -far, v, -far)  # Comparisons with NaN are false, so NaN becomes -far.
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func
@@ -116,11 +116,11 @@ def grid_functions(scalar) -> SimpleNamespace:
 
 @functools.cache
 def grid_kernels(scalar) -> SimpleNamespace:
-    """Return two kernels over points that sort points into cells.
+    """Return two kernels, with one thread per point, that sort points into the cells of a grid.
 
-    ``count`` counts the points of each cell in the array `held`, which must be zero before. The caller then writes the
-    prefix sums of these counts to the array `start`. Finally, ``put`` writes the indices of the points to the array
-    `point`, sorted by cell.
+    ``count`` counts the points of each cell in the array `held`, which must be zero before the launch. The caller then
+    writes the prefix sums of these counts to the array `start`. Finally, ``put`` writes the indices of the points to
+    the array `point`, sorted by cell.
     """
     Grid = grid_struct(scalar)
     cell_at = grid_functions(scalar).cell_at

@@ -10,12 +10,12 @@ from .contact_law import contact_functions
 
 @functools.cache
 def law_trial_kernel(scalar, law):
-    """Return a kernel that evaluates a contact law along a prescribed path, between two spheres and at a wall.
+    """Return a kernel that evaluates a contact law along a prescribed path, for two spheres and for a sphere at a wall.
 
-    All its arrays have the shape (2, steps); thread 0 evaluates the two spheres, and thread 1 evaluates the sphere at a
-    wall. A path is given by the gap between the surfaces [m], the speed at which the gap opens [m/s], and the speed at
-    which body b slides along body a [m/s]. Body b also rolls at this speed. If `keep` is 0, each step begins with a
-    zero history.
+    All array arguments except `parameters` have the shape (2, steps). Thread 0 evaluates the contact of two spheres,
+    and thread 1 the contact of a sphere with a wall. A path is given by the gap between the surfaces [m], the speed at
+    which the gap opens [m/s], and the speed at which body b slides along body a [m/s]. Body b also rolls at this speed.
+    If `keep` is 0, each step begins with a zero history.
     """
     t = types(scalar)
     f = contact_functions(scalar)

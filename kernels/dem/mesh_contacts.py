@@ -125,7 +125,7 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         """
         gap = distance - radius
         # Among the normals that this sphere had on this wall in the previous step, find the one most nearly parallel to
-        # `n`, in either direction. `side` is the cosine of the angle between both.
+        # `n` or -`n`. `side` is the cosine of the angle between this normal and `n`.
         side = scalar(0.0)
         for s in range(MESH_SLOTS):
             if slot_wall[i, first + s] == wall:

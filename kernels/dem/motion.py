@@ -118,7 +118,8 @@ def motion_functions(scalar, dissipation: bool):
     def damped(total: t.vec3, velocity: t.vec3, damping: scalar, kick: scalar):
         """Return a force (or moment) with local damping, and the energy that the damping dissipates.
 
-        Local damping adds to each component a fraction `damping` of its magnitude, against the velocity.
+        Local damping changes each component by the fraction `damping` of its magnitude, against the velocity component
+        along the same axis.
         """
         lost = wp.float64(0.0)
         if damping > scalar(0.0):

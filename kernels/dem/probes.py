@@ -1,7 +1,7 @@
 """Kernels that measure contacts, bodies and walls.
 
-The measured quantities are columns of tables whose rows belong to spheres or bodies. The sum of each column is formed
-in a fixed order.
+The measured quantities are columns of tables with one row per sphere, body or wall. Columns are always summed in the
+same order, so results are reproducible.
 """
 
 import functools

@@ -13,8 +13,8 @@ from .structs import array_structs
 def rebuilding_kernels(scalar) -> SimpleNamespace:
     """Return two kernels of one thread each, ``needs_rebuild`` and ``fit``, for a scene that is not part of a batch.
 
-    ``needs_rebuild`` decides if the device must rebuild the neighbour lists now. It leaves failed scenes to the host,
-    and also those rebuilds at which bodies are sorted. ``fit`` decides if the arrays have room for the new lists. If
+    ``needs_rebuild`` decides if the device must rebuild the neighbour lists now. The host handles failed scenes, and
+    the rebuilds that include a sorting of the bodies. ``fit`` decides if the arrays have room for the new lists. If
     not, the host rebuilds the lists with larger arrays.
     """
     Scenes = array_structs(scalar).Scenes

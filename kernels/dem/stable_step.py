@@ -151,7 +151,8 @@ def floor_function(scalar, pair_law, wall_law):
         """Return the stiffness K for which a time step of sqrt(`mass` / K) keeps an impact's energy within a tolerance.
 
         The tolerance is 1 % of the impact's energy plus a quarter of the energy that the impact loses. `onset` is the
-        contact's stiffness at first touch, `k[0]` its stiffness in the impact, and `k[2]` its damping.
+        stiffness of the contact at first touch. `k[0]` and `k[2]` are the stiffness and the damping that the contact
+        reaches during the impact.
 
         The largest error occurs if the bodies touch and separate again within one time step dt. The error is then a
         fraction of up to (w dt)^2 / 4 of the energy, where w = sqrt(`onset` / `mass`). If the stiffness of the contact
@@ -175,7 +176,7 @@ def floor_function(scalar, pair_law, wall_law):
         turn: scalar,
         tip: scalar,
     ):
-        """Return stiffness and damping of the next contact of a body in flight, and the stiffness to be resolved.
+        """Return stiffness and damping of the next contact of a body in flight, and the stiffness that limits errors.
 
         The next contact is assumed to be the stiffest one with a sphere or wall of any material. A force at a contact
         moves and rotates the body. `turn` is the resulting acceleration of the contact point under a shear force,
@@ -185,7 +186,8 @@ def floor_function(scalar, pair_law, wall_law):
         opposition. A body with a single contact does not need this reserve, so only half of the shear stiffness counts.
         Damping counts in full, because its limit contains no reserve: dashpots act half a step late.
 
-        The third result is the stiffness that the time step must resolve so that the contact conserves energy.
+        The third result is the stiffness from `resolved`, corrected by `tip`: a time step that fits this stiffness
+        keeps the energy of the contact within the tolerance.
         """
         n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
         touch = wall_touch(n, scalar(0.0), -speed * n, scalar(0.0), radius, mass)

@@ -110,7 +110,8 @@ def scene_struct(scalar):
 def array_structs(scalar) -> SimpleNamespace:
     """Return the structs of arrays for scenes, bodies, spheres, wall contacts, pairs of spheres, mesh faces and walls.
 
-    Their names are `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates` and `Walls`.
+    Their names are `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates` and `Walls`. If a comment states no
+    shape, the array has one entry for each scene, body, sphere or wall.
     """
     t = types(scalar)
     SceneRow = scene_struct(scalar)
@@ -134,10 +135,10 @@ def array_structs(scalar) -> SimpleNamespace:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
         scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch
 
-        # index of each body's shape in the list of clump templates, the shapes of all bodies
+        # index of each body's shape in the list of clump templates, which contains the shapes of all bodies
         shape: wp.array(dtype=wp.int32)
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
-        size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
+        size: wp.array(dtype=scalar)  # diameter of a sphere with the body's volume, at full size [m]
         mass: wp.array(dtype=scalar)  # mass of each body [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia of each body [kg m2]
         position: wp.array(dtype=t.vec3)  # position of each body's centroid [m]
@@ -229,14 +230,14 @@ def array_structs(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
-        # near candidates of each sphere: triangles that may touch it soon; a sphere's entries begin at the same index
-        # as in `face`
+        # Near candidates of each sphere: triangles that may touch it soon. A sphere's entries begin at the same index
+        # as in `face`. Shape (candidates,).
         near: wp.array(dtype=wp.int32)
         near_count: wp.array(dtype=wp.int32)  # number of near candidates of each sphere, shape (spheres,)
 
         # First three numbers: centre of each sphere when its near candidates were chosen [m]. Fourth number: the near
         # candidates contain all triangles that the sphere may touch while the sum of its radius, its displacement and
-        # the displacement of meshes is below this number [m]. All are 0 before the first choice.
+        # the displacement of meshes is below this number [m]. All are 0 before the first choice. Shape (spheres,).
         chosen: wp.array(dtype=t.vec4)
 
     @wp.struct
@@ -289,14 +290,15 @@ def links_struct(scalar):
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
 
         # Bit masks that mark neighbours in contact, for the entries of a sphere's neighbour list after the first BLOCK
-        # entries. Each sphere has EXTRA_MASKS integers.
+        # entries. Each sphere has EXTRA_MASKS integers, shape (spheres * EXTRA_MASKS,).
         later_touching: wp.array(dtype=wp.int32)
         # For each entry of the neighbour lists, the link that stands for its pair. If p is the index of the link, the
         # entry of the sphere with the lower permanent number stores p, and the entry of the other sphere stores -1 - p.
+        # Shape (list entries,).
         end: wp.array(dtype=wp.int32)
-        # Result of each link (pair of spheres) in this step. An array element holds a vector and a number. The lower
-        # sphere of a pair is the one with the lower permanent number. Without bonds, rolling resistance and energy
-        # sums, a link has two elements:
+        # Result of each link (pair of spheres) in this step, shape (elements per link * links,). An element holds a
+        # vector and a number. The lower sphere of a pair is the one with the lower permanent number. Without bonds,
+        # rolling resistance and energy sums, a link has two elements:
         # - force on the lower sphere [N], and lever arm of the force at the lower sphere [m];
         # - moment of the contact about a sphere's centre divided by the lever arm at this sphere [N], which is the same
         #   for both spheres, and lever arm at the higher sphere [m].
@@ -305,7 +307,7 @@ def links_struct(scalar):
         # - moment about the sphere's centre [N m], and 0.
         result: wp.array(dtype=t.vec4)
         # Near links, which are the listed pairs of spheres that may touch soon. Each one holds four indices in the
-        # arrays of the batch: the two spheres, the pair's entry in the neighbour list, and the link.
+        # arrays of the batch: the two spheres, the pair's entry in the neighbour list, and the link. Shape (links,).
         near: wp.array(dtype=wp.vec4i)
         # number of near links, then 1 if any scene must check all its links, else 0, shape (2,)
         near_count: wp.array(dtype=wp.int32)
@@ -324,8 +326,9 @@ def links_struct(scalar):
 def subcycled_struct(scalar):
     """Return the struct `Subcycled`: the pairs with stiff bonds, and the bodies that these pairs join.
 
-    These bodies move in several sub-cycling rounds per step. The struct contains its own copy of everything that a
-    round reads, in contiguous rows, because a round on a GPU is bound by memory latency.
+    These bodies move in several sub-cycling rounds per step. If a comment states no shape, the array has one entry for
+    each of these pairs or bodies. The struct contains its own copy of everything that a round reads, in contiguous
+    rows, because a round on a GPU is bound by memory latency.
     """
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
@@ -335,8 +338,8 @@ def subcycled_struct(scalar):
         rounds: wp.array(dtype=wp.int32)  # number of sub-cycling rounds in a step; 0: no sub-cycling, shape (scenes,)
         stable: wp.array(dtype=wp.float64)  # stable step of the pairs with stiff bonds alone [s], shape (scenes,)
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
-        lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
-        higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
+        lower: wp.array(dtype=wp.int32)  # lower one of the permanent numbers of the pair's two spheres
+        higher: wp.array(dtype=wp.int32)  # higher one of the permanent numbers of the pair's two spheres
 
         # Four indices of each pair: its two bodies in this struct, then the rows of `force` for the forces on these
         # bodies.

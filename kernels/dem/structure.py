@@ -26,11 +26,11 @@ def breakdown_kernel(scalar, law) -> wp.Kernel:
     def break_down_structure(
         # yield stress of the layer without its gain at rest [Pa], one value per entry of `wall_parameters`
         own_yield: wp.array(dtype=scalar),
-        # yield stress gained at rest [Pa], one value per scene; 0 before a rest
+        # yield stress gained at rest [Pa], one value per scene; 0 until the concrete has been at rest
         gained: wp.array(dtype=wp.float64),
         # slip distance after which 1/e of the gained yield stress is left [m], one value per scene
         breakdown: wp.array(dtype=wp.float64),
-        # travel of the wall when slip began [m], one value per scene
+        # distance that the wall had travelled when slip began [m], one value per scene
         begun: wp.array(dtype=wp.float64),
         # index in the batch of the wall whose travel counts as slip, one per scene
         slip_wall: wp.array(dtype=wp.int32),

@@ -77,7 +77,8 @@ def warp_functions(scalar, width: int) -> SimpleNamespace:
 def group_functions(scalar, lanes: int) -> SimpleNamespace:
     """Return functions that a group of `lanes` adjacent threads must call together, without the rest of the warp.
 
-    `lanes` is a power of two. `sum_of_group` adds six numbers over the group, and `bits_of_group` is the bitwise or.
+    `lanes` is a power of two. `sum_of_group` adds up vectors of six numbers over the group, and `bits_of_group` returns
+    the bitwise or over the group.
     """
     vec6 = wp.types.vector(6, scalar)
     way = f"""

@@ -186,7 +186,7 @@ def lanes() -> wp.int32:
 
 @wp.func_native(WAIT)
 def wait_for_lanes():
-    """Wait until all lanes (threads) of a warp have come here; all of them then see what each has written before."""
+    """Wait until all lanes (threads) of a warp have made this call; each then sees what all others wrote before it."""
     ...
 
 

@@ -1,10 +1,11 @@
-"""Conjugate gradients for the equations of the moving particle method, whose unknowns are vectors or numbers.
+"""Conjugate gradients for the equations of the moving particle method, whose unknowns are vectors or scalars.
 
 Each row of the matrix belongs to a particle. The product of a row and the unknowns is the diagonal times the particle's
 own value, minus the pair coefficients times the neighbours' values. If the unknowns are velocities, the row may also
 contain the wall's resistance to motion along the wall. The preconditioner is the diagonal. A whole solve is one kernel.
-On a CPU every thread processes some chunks of rows, and all threads meet at barriers where sums are formed;
-`resident_solver.py` is the version for a GPU. Sums are always formed in the same order, so results are reproducible.
+On a CPU every thread processes some chunks of rows, and all threads wait for each other at barriers before sums are
+added up; `resident_solver.py` is the version for a GPU. Sums are always formed in the same order, so results are
+reproducible.
 
 If some particles form rigid grains (`rigid`), their rows come first. The search directions are then rigid motions of
 each grain, computed from the resultant force and moment of the residual on the grain (`rigid.py`).
@@ -84,7 +85,7 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 @wp.func
 def sum_of(partial: wp.array(dtype=wp.float64), first: wp.int32, count: wp.int32) -> wp.float64:
-    """Return the sum of `count` entries of `partial` from the entry `first` on, in this order."""
+    """Return the sum of the entries `first` to `first` + `count` - 1 of `partial`, added up in this order."""
     sum = wp.float64(0.0)
     for k in range(count):
         sum += partial[first + k]

@@ -96,7 +96,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
         slope: t.vec  # Weighted sum of (pressure difference) x (relative position) over the fluid neighbours.
         rise: scalar  # Weighted sum of the pressure differences from the particle to its fluid neighbours.
 
-        # Viscous force per volume that the wall particles exert, divided by the wall stress, before calibration [1/m].
+        # Viscous force per volume that the wall particles exert, divided by the wall stress and by the factor that
+        # calibrates the Laplacian [1/m].
         wall: scalar
         inside: scalar  # Distance of the particle from the wall [m].
 
@@ -155,9 +156,9 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 m.above = m.above + w * d[last]
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
-                    # The velocity profile is continued behind the wall with its slope at the wall. The viscous force
-                    # per volume due to a wall particle is then proportional to the wall stress. `m.wall` is the sum of
-                    # the factors of proportionality.
+                    # Behind the wall, the velocity profile is extrapolated with its slope at the wall. The viscous
+                    # force per volume due to a wall particle is then proportional to the wall stress. `m.wall` is the
+                    # sum of the factors of proportionality.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
@@ -238,10 +239,10 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
             matrix.free[i] = surface
             excess = m.dense / flow.lattice_density - scalar(1.0)
             shifting.residual[i] = flow.correction * wp.clamp(excess, scalar(-0.01), scalar(0.01))
-            # Predict the pressure by a least-squares fit of a linear function to the neighbours' pressures. This
-            # filters out checkerboard modes, which the gradient operator does not see. The gradient is eliminated from
-            # the normal equations, which leaves one equation for the change of the particle's own pressure (Schur
-            # complement).
+            # Predict the pressure by a least-squares fit of a linear function to the neighbours' pressures. The fit
+            # filters out checkerboard patterns, whose gradient is zero for the gradient operator. The gradient is
+            # eliminated from the normal equations, which leaves one equation for the change of the particle's own
+            # pressure (Schur complement).
             bent = back * m.first
             # Weight with which the particle's own pressure enters the least-squares fit.
             own = flow.cutoff / flow.spacing

@@ -21,7 +21,7 @@ NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
 
 For particles closer to a wall than NEARER spacings, the diagonal of the pressure equation is multiplied by DAMPED.
 Without this damping, the pressure would oscillate from step to step. A pressure increment changes the particle's
-velocity, and with it the velocity that is continued behind the wall. Both velocities change the divergence at the
+velocity, and with it the velocity that is extrapolated behind the wall. Both velocities change the divergence at the
 particle itself. Very close to the wall, this response exceeds twice the response that the undamped diagonal describes.
 In the initial lattice the outermost particles are half a spacing from the wall, so they are not damped.
 """
@@ -79,9 +79,8 @@ def other_wall_law_function(scalar, dimensions: int, slip_law: str):
     def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
         """Return `force` plus the slip layer's force, the slip layer's resistance, and the wall stress [Pa].
 
-        Arguments and results are the same as those of the function for a slip layer that obeys Bingham's law. Slip and
-        shear must add up to the particle's speed. Newton's method finds the stress at which they do, between two
-        bounds.
+        Arguments and results are the same as in :func:`wall_law_function`. Slip velocity and shear must add up to the
+        particle's speed. Newton's method, kept between two bounds, finds the stress for which they do.
         """
         n = f.outward(x)
         along = v - wp.dot(n, v) * n
@@ -266,7 +265,8 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 d = y - x
                 r = f.distance(flow, d)
                 if r < flow.cutoff:
-                    # Behind a wall the normal velocity is continued linearly through its value at the wall.
+                    # Extrapolate the normal velocity linearly to the wall particle, so that at the wall it equals the
+                    # wall's velocity.
                     jump = t.vec()
                     beyond = wp.length(f.across(y)) - flow.radius
                     if beyond > scalar(0.0):

@@ -72,7 +72,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     """Build the structs of arrays that the kernels share, for one precision and two or three dimensions.
 
     They are `Particles`, `Lists` (neighbour lists), `Fields`, `Grains` (rigid coarse aggregate), `Coarse` (coarse grid
-    of the solves), `Matrix`, and the working arrays of a solve for vectors (`VectorSolve`) or numbers (`NumberSolve`).
+    of the solves), `Matrix`, and the working arrays of a solve for vectors (`VectorSolve`) or scalars (`NumberSolve`).
+    In the shapes of arrays, n is the number of fluid particles and d the number of dimensions.
     """
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
@@ -86,7 +87,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec)  # Particle velocity relative to the pipe [m/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
         density: wp.array(dtype=scalar)  # Density of each particle in two-phase flows [kg/m3], shape (n,); else empty.
-        group: wp.array(dtype=wp.int32)  # Grain of each particle, -1 for mortar, in two-phase flows; else empty.
+        group: wp.array(dtype=wp.int32)  # Grain of each particle, -1 for mortar, shape (n,); empty without grains.
 
     @wp.struct
     class Lists:
@@ -109,11 +110,12 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Fields:
-        # Weight of the pair divided by its squared distance [1/m2], for each entry of the neighbour list `near`.
+        # Weight of each pair in the neighbour list `near`, divided by its squared distance [1/m2], shape (n *
+        # near_capacity,).
         pair_weight: wp.array(dtype=scalar)
         # Inverse of each particle's moment matrix of its fluid neighbours [1/m2], shape (n,).
         fluid_inverse: wp.array(dtype=t.mat)
-        # Inverse of each particle's moment matrix of all neighbours, walls included [1/m2].
+        # Inverse of each particle's moment matrix of all neighbours, walls included [1/m2], shape (n,).
         all_inverse: wp.array(dtype=t.mat)
         # Number of dimensions divided by the sum of each particle's weights, which calibrates the Laplacian, shape
         # (n,).
@@ -121,8 +123,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Area of the wall that each particle represents, divided by the particle's volume, before multiplication by
         # `wall_scale` [1/m], shape (n,).
         wall_weight: wp.array(dtype=scalar)
-        # Factor by which all wall areas in `wall_weight` are multiplied, so that they add up to the wetted wall, shape
-        # (1,).
+        # Factor by which all wall areas in `wall_weight` are multiplied, so that they add up to the area of wetted
+        # wall, shape (1,).
         wall_scale: wp.array(dtype=wp.float64)
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
 
@@ -145,17 +147,18 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     class Grains:
         # Index of each grain's first particle, followed by the number of particles in all grains, shape (grains + 1,).
         first: wp.array(dtype=wp.int32)
-        offset: wp.array(dtype=t.vec)  # Initial offset of each particle from its grain's centre [m].
+        offset: wp.array(dtype=t.vec)  # Initial vector from its grain's centre to each particle of a grain [m].
         middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
-        middle_rounding: wp.array(dtype=t.vec)  # Rounding error of each grain's position [m].
+        middle_rounding: wp.array(dtype=t.vec)  # Rounding error of each grain's position [m], shape (grains,).
         centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
 
-        # Inverse inertia of a grain about `centre` if each of its particles has unit mass [1/m2].
+        # Inverse inertia of each grain about `centre` if each of its particles has unit mass [1/m2], shape (grains,).
         inverse_inertia: wp.array(dtype=mat33)
-        # Velocity of each grain per unit force, computed from the diagonal of the matrix. It serves as a
-        # preconditioner.
+        # Velocity of each grain per unit force, computed from the diagonal of the matrix, as a preconditioner, shape
+        # (grains,).
         mobility: wp.array(dtype=scalar)
-        # Spin of each grain per unit moment, computed from the diagonal of the matrix. It serves as a preconditioner.
+        # Spin of each grain per unit moment, computed from the diagonal of the matrix, as a preconditioner, shape
+        # (grains,).
         spin_mobility: wp.array(dtype=mat33)
         step: wp.array(dtype=t.vec)  # Displacement of each grain in this step [m], shape (grains,).
         spin: wp.array(dtype=vec3)  # Angular velocity of each grain [rad/s], shape (grains,).
@@ -194,7 +197,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix without the resistance of walls, shape (n,).
         drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
 
-        # 1 for a matrix row whose unknown is held at 0, such as the pressure of a particle at the free surface.
+        # 1 for a matrix row whose unknown is held at 0, such as the pressure of a particle at the free surface; else 0.
+        # Shape (n,).
         free: wp.array(dtype=wp.int32)
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
         grain_rows: wp.int32  # Number of matrix rows of particles in rigid grains; they precede the mortar's rows.
@@ -217,12 +221,12 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             change: wp.array(dtype=value)
             # Product of the summed residual `load` and the solution in each cube of the coarse grid, shape (cubes,).
             inner: wp.array(dtype=wp.float64)
-            partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
+            partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk, for up to three sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
 
             # Number of iterations, and norm of the residual at the start and at the end of the solve, shape (OUTCOME,).
             outcome: wp.array(dtype=wp.float64)
-            history: wp.array(dtype=wp.float64)  # Residual norm after each iteration of the solve.
+            history: wp.array(dtype=wp.float64)  # Residual norm after each iteration, up to the array's length.
 
         return Solve
 

@@ -9,8 +9,9 @@ its centre to the face, the face's velocity is the component of V + w x d along 
 maps V and w to face velocities, the viscous matrix A of all faces becomes P^T A P. The drag on aggregates follows from
 this, without a drag law.
 
-Strain rates belong to samples. A sample is a cell (for stretching) or a cell edge (for shear). In comments on array
-shapes, n is the number of aggregates, and `cells` the number of cells, including a frame around the grid.
+The places at which strain rates are computed are called samples: the cells (for stretching) and the cell edges (for
+shear). In comments on array shapes, n is the number of aggregates, and `cells` the number of cells, including a frame
+around the grid.
 
 The grid is filled with mortar everywhere, also inside aggregates. An aggregate adds its own mass minus the mass of the
 mortar in its place, so its weight in mortar does not depend on how the grid resolves its surface.
@@ -39,10 +40,10 @@ SEARCH_LOOPS, COVER_LOOPS = {"max_unroll": 2}, {"max_unroll": 3}
 """Warp options of two groups of kernels. Kernels with SEARCH_LOOPS search for walls. Kernels with COVER_LOOPS find the
 parts of cells that aggregates cover.
 
-Warp unrolls loops of at most `max_unroll` turns. With Warp's default, 16, these kernels have up to 784 copies of their
-innermost function. NVIDIA's compiler takes two minutes for each of them. With these options it takes 1.5 s, or 11 s for
-the parts of cells that clumps cover. If the second option were 2 as well, a CPU would take five times as long to run
-these kernels.
+Warp unrolls loops of at most `max_unroll` iterations. With Warp's default, 16, these kernels have up to 784 copies of
+their innermost function. NVIDIA's compiler takes two minutes for each of them. With these options it takes 1.5 s (11 s
+for the parts of cells that clumps cover). If the second option were 2 as well, a CPU would take five times as long to
+run these kernels.
 """
 
 
@@ -94,7 +95,7 @@ def body_structs(scalar) -> SimpleNamespace:
         body: wp.array(dtype=wp.int32)  # Index of the aggregate to which each sphere belongs, shape (m,).
         size: wp.array(dtype=scalar)  # Radius of each sphere [m], shape (m,).
 
-        # Volume of each sphere, without the parts that count as parts of overlapping spheres [m3], shape (m,).
+        # Volume of each sphere, without those parts of overlaps that are counted with other spheres [m3], shape (m,).
         share: wp.array(dtype=scalar)
         # Vector from the centre of the aggregate to the centre of each sphere [m], shape (m,): `offset` along the
         # principal axes of the aggregate, and `arm` along the axes of the grid.
@@ -136,13 +137,13 @@ def body_structs(scalar) -> SimpleNamespace:
 
         # Number of entries of each aggregate in `faces`, shape (n,).
         touched: wp.array(dtype=wp.int32)
-        # Indices of the grid's faces that aggregates cover, sorted by aggregate. For each aggregate, the faces that
-        # move with it come first, followed by the faces that it covers partly.
+        # Indices of the grid's faces that aggregates cover, sorted by aggregate, shape (entries,). For each aggregate,
+        # the faces that move with it come first, followed by the faces that it covers partly.
         faces: wp.array(dtype=wp.int32)
-        # Fraction of the area of each face in `faces` that the aggregate covers. It is 1 for faces that move with the
-        # aggregate.
+        # Fraction of the area of each face in `faces` that the aggregate covers, shape (entries,). It is 1 for faces
+        # that move with the aggregate.
         part: wp.array(dtype=scalar)
-        # Vector from the centre of the aggregate to the centre of each face in `faces` [m].
+        # Vector from the centre of the aggregate to the centre of each face in `faces` [m], shape (entries,).
         lever: wp.array(dtype=vec3)
 
     return SimpleNamespace(Bodies=Bodies, Cover=Cover)
@@ -210,8 +211,8 @@ def shape_functions(scalar, kind: BodyKind) -> SimpleNamespace:
     def nearest(bodies: Bodies, b: wp.int32, d: vec):
         """Return the vector from a sphere's centre to a point, and the radius of the sphere.
 
-        The sphere is that of the aggregate whose surface is nearest to the point, or in which the point lies deepest.
-        `d` is the vector from the aggregate's centre to the point.
+        Among the spheres of an aggregate, the function chooses the sphere whose surface is nearest to the point, or the
+        sphere in which the point lies deepest. `d` is the vector from the aggregate's centre to the point.
         """
         x = d
         size = bodies.radius[b]
@@ -304,7 +305,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def sample_middle(g: Grid, c: whole, sample: wp.int32) -> vec:
-        """Return the midpoint of cell `c` if `sample` is 0, or that of one of its edges, chosen by `sample` - 1."""
+        """Return the midpoint of a sample: of cell `c` (`sample` 0), or of its edge for pair of axes `sample` - 1."""
         x = vec()
         for axis in range(3):
             on_edge = (sample == 1 and axis < 2) or (sample == 2 and axis != 1) or (sample == 3 and axis > 0)
@@ -313,7 +314,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def mortar_part(g: Grid, cover: Cover, number: wp.int32, sample: wp.int32) -> scalar:
-        """Return the mortar fraction of a sample; `sample` is 0 for a cell and 1 + the pair of axes for an edge."""
+        """Return the mortar fraction of a cell (`sample` 0), or of its edge for pair of axes `sample` - 1."""
         filled = scalar(cover.solid[number + sample * g.slots]) / scalar(FULL)
         return wp.max(scalar(1.0) - filled, scalar(0.0))
 

@@ -33,9 +33,10 @@ The norm of the residual contains forces and net inflows, and the weight makes a
 weight is (density width^2 / dt + COMPRESSION viscosity) / volume.
 """
 YIELDING = wp.constant(0.4)
-"""Factor in that part of the preconditioner's pressure in a cell which depends on the net inflow of this cell alone.
-This part is the inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to net inflows and a is the diagonal
-of the viscous matrix. The factor was chosen by the number of iterations in eight flows."""
+"""Factor in the preconditioner. It computes the pressure in a cell as a sum of two parts, one of which depends only on
+the net inflow into this cell. This part is the inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to
+net inflows and a is the diagonal of the viscous matrix. The factor was chosen by the number of iterations in eight
+flows."""
 
 BODY_RESISTANCE = wp.constant(0.5)
 """Factor by which the mean resistance of an aggregate's faces is multiplied in the matrix of the preconditioner's

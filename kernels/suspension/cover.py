@@ -217,7 +217,7 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def close(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, cover: Cover):
-        """Find cells of which all faces but one move with the same aggregate, and mark the remaining face.
+        """Find cells in which all faces except one move with the same aggregate, and mark the remaining face.
 
         Mortar is incompressible, so the remaining face has the aggregate's velocity anyway. This is not so if a wall
         cuts the cell or closes one of its sides. The result is stored in `closing` and `closer`, because other tasks of

@@ -28,9 +28,10 @@ def entrance_struct(scalar):
     class Entrance:
         start: wp.array(dtype=vec3)  # Centre of each aggregate at the time 0 [m], shape (n,).
 
-        # Time when an aggregate begins to enter the simulated box [s], shape (n,). Until then it is kept far away.
+        # Time at which each aggregate begins to enter the simulated box [s], shape (n,). Until then it is kept far
+        # away.
         appears: wp.array(dtype=wp.float64)
-        # Time when an aggregate has entered the pipe entirely and becomes free to move [s], shape (n,).
+        # Time at which each aggregate has entered the pipe entirely and becomes free to move [s], shape (n,).
         enters: wp.array(dtype=wp.float64)
         velocity: vec3  # Velocity of the plane through which aggregates enter the pipe [m/s].
         gravity: vec3  # Gravitational acceleration in the coordinates of the grid [m/s2].
@@ -43,13 +44,13 @@ def entering_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels for aggregates that enter, each with one task per aggregate unless stated otherwise.
 
     - `guide` sets position and velocity of the aggregates that are not free yet.
-    - `relax` marks cells that a wall cuts and whose faces all move with aggregates, with one task per cell. In pipes
-      that are oblique to the grid, such a cell has a net inflow that depends on the accuracy of the geometry, and that
-      no motion of the aggregate along the wall makes zero. The kernel `release` of `cover.py` makes the velocities of
-      the marked cells' faces unknowns again.
+    - `relax` marks cells that a wall cuts and whose faces all move with aggregates, with one task per cell. In a pipe
+      that is oblique to the grid, errors of the geometry cause a net inflow into such a cell that no motion of the
+      aggregate along the wall can make zero. The kernel `release` of `cover.py` makes the velocities of the marked
+      cells' faces unknowns again.
     - `ignore` deletes the lists of neighbours of aggregates that are not free yet, because they need no forces.
     - `fix` deletes the mobility of these aggregates, so that solves do not change their velocities. The inverse blocks
-      of the preconditioner are zero, so these aggregates have no part in any search direction and in no norm.
+      of the preconditioner are zero, so these aggregates contribute neither to search directions nor to norms.
     - `weigh` sets the weight of each aggregate minus its buoyancy. The mortar beyond the open end of the pipe would
       bear the part of an aggregate that has left, so this part has no weight.
     """

@@ -54,7 +54,7 @@ def friction_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
 
     @wp.func
     def is_mirror(mirrors: wp.int32, n: vec) -> wp.bool:
-        """Return whether `n` is the direction of a plane of symmetry, along which nothing rubs."""
+        """Return whether `n` is the normal of a side of the box that is a plane of symmetry, and thus frictionless."""
         found = wp.bool(False)
         for side in range(6):
             if (mirrors >> side) % 2 == 1 and n[side / 2] == wp.where(side % 2 == 0, scalar(-1.0), scalar(1.0)):

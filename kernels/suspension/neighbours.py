@@ -85,8 +85,8 @@ def wall_search_function(scalar, of: GridKind):
     def search(g: Grid, geometry: Geometry, x: vec, radius: scalar, start: vec, known: vec, reach: scalar):
         """Return the gap to a wall [m], the unit vector towards it, and the number of the wall.
 
-        `start` is the direction from the centre `x` to the starting point, or 0 for the centre. If `known` is not 0, it
-        is the direction of another wall, and the search does not turn towards that wall.
+        `start` is the unit vector from the centre `x` to the starting point, or zero if the search starts at the centre
+        itself. `known` is the unit vector towards another wall, to which the search must not turn, or zero.
         """
         e = start
         distance, slope, wall = wall_gap(g, geometry, x + radius * e)
@@ -238,9 +238,10 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
                         part * roughness, dt, longest,
                     )  # fmt: skip
         # Search for walls other than the sides of the box, from the centre of the aggregate and from six points of its
-        # surface. The grid stores the distance from the nearest wall only, which may be a side of the box. The search
-        # therefore does not turn towards the closest side, on which another wall may stand as a bar on a plate. A
-        # search that finds a known wall is repeated without turning towards this wall.
+        # surface. The grid stores the distance from the nearest wall only, which may be a side of the box. The first
+        # search therefore must not turn towards the closest side of the box: another wall, such as a bar on a plate,
+        # may stand on this side. If a search finds a wall that is already known, a second search must not turn towards
+        # that wall.
         for probe in range(7):
             e = vec()
             if probe > 0:

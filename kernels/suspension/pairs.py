@@ -153,8 +153,8 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
     - `relative` returns the velocity of a sphere relative to a neighbour.
     - `between` returns the force and the torque by which the neighbours of an aggregate oppose the given velocities. It
       adds up every `by`-th neighbour from number `lane` on.
-    - `blocks` returns two 3 x 3 matrices: the first gives this force from the aggregate's own velocity, the second this
-      torque from its own spin.
+    - `blocks` returns two 3 x 3 matrices. The first one times the aggregate's own velocity is the force of `between`,
+      and the second one times its own spin is the torque, if all neighbours are at rest.
     """
     vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
     Pairs, Bodies, shape = pair_struct(scalar), body_structs(scalar).Bodies, shape_functions(scalar, kind)
@@ -184,7 +184,8 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
     ) -> vec:  # fmt: skip
         """Return the velocity of sphere `s` relative to the neighbour at index `place`, where the two touch.
 
-        Walls count as resting. The velocities and spins of the aggregates begin at the index `start` of both arrays.
+        Walls are treated as if they were at rest. The velocities and spins of the aggregates begin at the index `start`
+        of both arrays.
         """
         o = pairs.other[place]
         if wp.static(kind.turning):
@@ -315,8 +316,9 @@ def pair_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
                 if pairs.other[place] != WALL:
                     u = u - after(bodies, change, pairs.other[place])
                 approach = wp.dot(u, pairs.normal[place]) - pairs.still[place]
-                # The speed of approach is still uncertain. Reduce it to the fraction `certain`, and count the pair as
-                # touching only if it would overlap at the end of the step even then.
+                # Before the solve has converged, the speed of approach has an error, so use a cautious value: `certain`
+                # times the speed, or 2 - `certain` times the speed at which a pair separates. Only pairs that would
+                # overlap at the end of the step with this value count as touching.
                 approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
                 if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
                     pairs.touching[place] = NEW

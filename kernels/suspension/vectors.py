@@ -1,6 +1,6 @@
 """Vectors of the coupled equations of mortar and aggregates, and functions for them.
 
-The functions distribute the entries of vectors over tasks, and compute inner products and multiples.
+The functions distribute the entries of vectors over tasks, compute inner products, and add multiples of vectors.
 """
 
 import functools
@@ -29,10 +29,10 @@ def vector_struct(scalar):
 
     @wp.struct
     class Vector:
-        faces: wp.array(dtype=scalar)  # Velocity of each face of the grid, or the force on it; three faces per cell.
+        faces: wp.array(dtype=scalar)  # Velocity of each face, or the force on it, shape (3 * cells,).
         linear: wp.array(dtype=vec3)  # Velocity of each aggregate, or the force on it, shape (n,).
         angular: wp.array(dtype=vec3)  # Spin of each aggregate, or the torque on it, shape (n,).
-        cells: wp.array(dtype=scalar)  # Pressure in each cell of the grid, or the net inflow into it.
+        cells: wp.array(dtype=scalar)  # Pressure in each cell, or the net inflow into it, shape (cells,).
 
     return Vector
 
@@ -41,7 +41,8 @@ def vector_struct(scalar):
 def share_functions(serial: bool) -> SimpleNamespace:
     """Build the functions `first`, `end` and `stride`, which give the range of items that one task processes.
 
-    A task on a CPU gets a contiguous range of items. On a GPU, a task gets every n-th item, with the number n of tasks.
+    A task on a CPU gets a contiguous range of items. On a GPU, a task gets every n-th item, where n is the number of
+    tasks.
     """
 
     @wp.func
@@ -68,7 +69,8 @@ def share_of_body(task: wp.int32, tasks: wp.int32):
     """Return the number of the aggregate that a task works on, and the lane of the task.
 
     Tasks from number `tasks` on work on aggregates: one task on each aggregate on a CPU, and the 32 lanes (threads) of
-    a warp on a GPU. The number may exceed that of the last aggregate, because a GPU starts whole blocks.
+    a warp on a GPU. A GPU starts whole blocks of tasks, so the returned number may be larger than that of the last
+    aggregate.
     """
     return (task - tasks) / lanes(), (task - tasks) % lanes()
 

@@ -62,7 +62,7 @@ RESULTANT = """
 """
 """C++ sources of two functions for the faces that move with one aggregate. GIVE sets the velocities of the faces, and
 RESULTANT adds up the forces on them and their torques. The faces are the entries `first` to `end` - 1 of the list
-`faces`, of which each of `by` threads takes every by-th one. Faces perpendicular to axis a have numbers from a * slots
+`faces`. Each of `by` threads processes every `by`-th entry. Faces perpendicular to axis a have numbers from a * slots
 on, where `slots` is the number of cells including the frame around the grid."""
 
 
@@ -207,7 +207,7 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         rows = 3 * g.slots
         sum = wp.float64(0.0)
         for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-            # Read all of these before the branch, so that a GPU waits for memory only once.
+            # Read all values before the branch, so that a GPU waits for memory only once.
             free = matrix.free[r]
             count = matrix.near_count[r]
             diagonal = matrix.diagonal[r]
@@ -233,9 +233,10 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 def gather_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
     """Build the kernel that computes the product of matrix and search direction for each aggregate.
 
-    It runs after `multiply` of `search_kernels`. It adds up the products on the aggregate's faces, and adds the terms
-    of its own inertia and of its neighbours. Its tasks work on the aggregates, which :func:`share_of_body` distributes.
-    `first` is the number of partial sums that `multiply` has stored.
+    It runs after `multiply` of `search_kernels`. For each aggregate, it adds up the products on the faces that move
+    with the aggregate, and adds the terms of the aggregate's inertia and of its neighbours. The tasks work on the
+    aggregates, which :func:`share_of_body` distributes. `first` is the number of partial sums that `multiply` has
+    stored.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -362,7 +363,8 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def push(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
         """Add a multiple of the pressure forces on the covered parts of faces to the forces on each aggregate.
 
-        The mortar bears only the force on the uncovered part of a face, so the kernel subtracts the covered part there.
+        For a partly covered face, the kernel also subtracts this pressure force from the force on the mortar, which
+        acts on the uncovered part only.
         """
         b, lane = share_of_body(wp.tid(), 0)
         if b < cover.count.shape[0]:
@@ -376,7 +378,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 force += e
                 torque += wp.cross(cover.lever[place], e)
                 if k >= cover.count[b]:
-                    # The force on this face contains the pressure force on its whole area, so subtract that on the
+                    # The pressure force on this face was computed for its whole area, so subtract the share of the
                     # covered part.
                     result.faces[r] = result.faces[r] - factor * cover.part[place] * forces[r]
             force = all_lanes(force)

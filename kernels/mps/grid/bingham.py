@@ -170,9 +170,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         the mean velocity due to shear is multiplied by `ring`. Newton's method solves for the stress. It starts above
         the solution, where the function is convex.
         """
-        # Start from an upper bound of the wall stress. To give the whole speed, slip alone or shear alone would need a
-        # larger stress than both together. Use the smaller of the stress for slip alone and the stress for shear alone,
-        # which is increased by a margin.
+        # Start from an upper bound of the wall stress. The stress would be larger if slip alone, or shear alone, had to
+        # produce the whole speed. Both of these stresses are therefore upper bounds, the second one after
+        # multiplication by a margin. Use the smaller bound.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

@@ -11,9 +11,10 @@ flow, and per radian in axisymmetric flow.
 Walls coincide with sides of cells or, if `GridKind.cut`, pass through cells (cut cells). Then each face stores its
 distance from the nearest wall and the open part of its area, and cells and edges store the fraction of their volume
 free of wall. Concrete flows in and out of a cell through the open parts of its faces (Ng, Min & Gibou 2009). Shear and
-stretch are weighted with the open volumes of edges and cells (Batty & Bridson 2008). They also need velocities of some
-faces inside walls, called ghost faces, whose velocities are unknowns as well. The friction of the wall acts on the
-velocity at the wall itself, which is interpolated between a ghost face and the next face in the concrete.
+stretch are weighted with the open volumes of edges and cells (Batty & Bridson 2008). Shear and stretch beside a wall
+also depend on some faces inside the wall, called ghost faces, whose velocities are unknowns as well. The friction of
+the wall acts on the velocity at the wall itself, which is interpolated between a ghost face and the next face in the
+concrete.
 """
 
 import functools
@@ -32,8 +33,8 @@ OPEN = wp.constant(0)
 SMOOTH = wp.constant(2)  # Value of `solid` in cells beyond an axis or plane of symmetry, a wall without friction.
 GATE = wp.constant(3)  # Value of `solid` in cells inside the gate, a wall that opens at given times.
 
-# AIR, LIQUID, FIXED, INSIDE and GHOST are the five kinds of faces between two cells. ROUGH, which is defined among
-# them, is another value of the array `solid`.
+# The next constants are the five kinds of faces between two cells: AIR, LIQUID, FIXED, INSIDE and GHOST. Only ROUGH,
+# which stands between them, is not a kind of face but a value of the array `solid`.
 
 AIR = wp.constant(0)  # Kind of a face without concrete on either side.
 
@@ -70,7 +71,7 @@ BEFORE = wp.constant(6)  # Entry of `clock`: root mean square speed of the concr
 RATE = wp.constant(7)  # Entry of `clock`: rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Entry of `clock`: previous time step [s].
 
-# Entry of `clock`: root mean square speed that the particles brought to the grid in this step [m/s].
+# Entry of `clock`: root mean square of the velocities that were transferred from particles to faces in this step [m/s].
 GATHERED = wp.constant(9)
 CLOCK = 10
 STRIP = wp.constant(64)
@@ -161,7 +162,7 @@ def grid_parameters_struct(scalar, dimensions: int):
         quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2], else 0.
         yield_stress: scalar  # Yield stress of the concrete [Pa].
         regularisation: scalar  # Regularisation time beta of the flow law [s].
-        volume: scalar  # Mean volume of a particle; in plane flow per metre of depth, in axisymmetric flow per radian.
+        volume: scalar  # Mean volume of a particle [m3], in plane flow [m3/m], in axisymmetric flow [m3/rad].
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
 
         # Derivative of the wall's braking force per volume with respect to the mean velocity [kg/m3/s].
@@ -176,6 +177,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     In the shapes of arrays, `cells` is the number of cells including the frame around the grid, `axes` the number of
     axes of the grid, and n the number of particles. `pairs` is the number of pairs of axes: 1 in a plane, 3 in space.
+    Areas, volumes and forces are per metre of depth in plane flow, and per radian in axisymmetric flow.
     """
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
@@ -187,7 +189,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         gradient: wp.array(dtype=t.mat)  # Velocity gradient at each particle [1/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
 
-        # Mass of each particle divided by the mean mass of particles; 0 if the particle has left the grid.
+        # Mass of each particle divided by the mean mass of particles, shape (n,); 0 if the particle has left the grid.
         mass: wp.array(dtype=scalar)
 
     @wp.struct
@@ -222,27 +224,30 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
 
         # Velocity across each face at the start of the implicit solve [m/s], shape (axes * cells,).
         start: wp.array(dtype=scalar)
-        volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * cells,).
+        volume: wp.array(dtype=scalar)  # Volume of concrete around each face [m3], shape (axes * cells,).
 
-        # Area of the pipe's wall that lies along each face; 0 for faces away from walls.
+        # Area of the pipe's wall beside each face [m2], shape (axes * cells,); 0 for faces away from walls.
         wall_area: wp.array(dtype=scalar)
         # Shear stress between the pipe's wall and the concrete at each face [Pa], with the sign of the concrete's
-        # velocity relative to the wall.
+        # velocity relative to the wall, shape (axes * cells,).
         traction: wp.array(dtype=scalar)
-        # Derivative of the wall's shear stress (`traction`) with respect to the face's velocity [Pa s/m].
+        # Derivative of the wall's shear stress (`traction`) with respect to the face's velocity [Pa s/m], same shape.
         traction_slope: wp.array(dtype=scalar)
-        # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
+        # Velocity of the concrete at the pipe's wall beside each face; without a wall, the velocity of the face [m/s].
+        # Shape (axes * cells,).
         slip: wp.array(dtype=scalar)
         # Friction force of a wall that passes between two neighbouring faces, divided by the velocity of the concrete
-        # relative to the wall. Both faces are perpendicular to axis a; the second face follows the first one along axis
-        # b. Shape (axes^2 * cells,); the index is (a * axes + b) * slots + c, where c is the cell of the first face.
+        # relative to the wall [N s/m]. Both faces are perpendicular to axis a; the second face follows the first one
+        # along axis b. Shape (axes^2 * cells,); the index is (a * axes + b) * slots + c, where c is the cell of the
+        # first face.
         wall_stiffness: wp.array(dtype=scalar)
-        # Friction force of a wall at the present velocity of the concrete, with the same indices as `wall_stiffness`.
+        # Friction force of a wall at the present velocity of the concrete [N], with the same indices as
+        # `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
         # The velocity at a wall that passes between two neighbouring faces is interpolated from the velocities of both
         # faces. `wall_weight` is the weight of the second face, with the same indices as `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
-        shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
+        shift: wp.array(dtype=scalar)  # Velocity across each face, to disperse particles [m/s], shape (axes * cells,).
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (cells,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in each cell in this step [Pa], shape (cells,).
         # Change of the pressure in each cell in the last step [Pa], shape (cells,); empty if the grid is always full.
@@ -256,7 +261,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # (pairs * cells,).
         in_corner: wp.array(dtype=scalar)
 
-        # Shear stress at each corner of a pipe's cells in the previous step [Pa]; on a wall, the wall stress.
+        # Shear stress at each corner of a pipe's cells in the previous step [Pa]; on a wall, the wall stress. Shape
+        # (cells,).
         stress: wp.array(dtype=scalar)
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (cells,).
 
@@ -264,7 +270,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         strain_without_pair: wp.array(dtype=scalar)
         # Yield stress gained at rest in each cell [Pa], shape (cells,); empty without thixotropy.
         gained: wp.array(dtype=scalar)
-        # Yield stress that the slip layer gained at rest [Pa], one per face; empty without thixotropy.
+        # Yield stress that the slip layer gained at rest [Pa], shape (axes * cells,); empty without thixotropy.
         layer: wp.array(dtype=scalar)
         # Driving force of a periodic pipe and related values, at the indices FORCE to VELOCITY_CORRECTION, shape
         # (DRIVE,).
@@ -283,12 +289,13 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # axes, which gives four quarters. Shape (cells * pairs * 4,), in which the position along the pair's first axis
         # varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
-        # Volume around each cell's centre that is free of wall, shape (cells,). Its parts are weighted by their
-        # distance from the centre, with the same function as particles.
+        # Volume around each cell's centre that is free of wall [m3], shape (cells,). Its parts have the same weight as
+        # a particle at their distance from the centre.
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (cells,); empty without gate.
 
-        # Positions at which particles that have left the grid enter again [m]; empty if none enters again.
+        # Positions at which particles that have left the grid enter again [m], shape (positions,); empty if no particle
+        # enters again.
         inlet: wp.array(dtype=t.vec)
         # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * cells,).
         gap: wp.array(dtype=scalar)
@@ -305,7 +312,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Walls:
-        # Velocity of each wall [m/s], indexed by the number of the wall; index 0 is unused.
+        # Velocity of each wall [m/s]. The index of this array and of the next arrays is the number of the wall; index 0
+        # is unused.
         velocity: wp.array(dtype=t.vec)
         spin: wp.array(dtype=vec3)  # Angular velocity of each wall about `pivot` [rad/s]; in plane flow about y.
         pivot: wp.array(dtype=t.vec)  # Point about which each wall rotates [m].

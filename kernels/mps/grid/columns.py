@@ -49,8 +49,8 @@ WEIGHTS = """
     }
     return sums;
 """
-"""C++ source of the loop over the particles of a cell. The functions below replace the words in capitals. The last turn
-of the loop may read particles of the next cell, which get the weight 0."""
+"""C++ source of the loop over the particles of a cell. The functions below replace the words in capitals. The last
+iteration of the loop may read particles of the next cell, which get the weight 0."""
 
 
 @functools.cache
@@ -61,7 +61,7 @@ def column_functions(scalar, dimensions: int, periodic: bool = False) -> SimpleN
     - `add_mass` adds the mass of the particles of a cell to a sum. The weights of the particles fall linearly to zero
       at a distance of one cell from a point.
     - `add_velocity` adds the weights of the particles, and their weighted velocities along an axis, to two sums. The
-      velocities are continued linearly to the point.
+      velocity of each particle is extrapolated linearly to the point, with the particle's velocity gradient.
 
     The entries of a cell begin at `begin`, and there are `count` of them. The columns are `stride` entries apart. In a
     `periodic` pipe, `length` is the length after which the pipe repeats itself.

@@ -20,9 +20,9 @@ if its free surface coincides with the sides of cells (at 1 mm/s in a test with 
 def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions that convert the particle density at a cell's centre to the cell's fill fraction.
 
-    `level` and `lies` return the fill fraction: `level` for a cell at a free surface, `lies` for a thin film of
-    concrete on a wall. `film` decides which of the two cases applies. `behind` corrects the particle density beside
-    walls.
+    `level` and `lies` return the fill fraction: `level` for a cell at a free surface, and `lies` for a thin film of
+    concrete on a wall. `film` returns whether a cell contains such a film. `behind` corrects the particle density
+    beside walls.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -125,7 +125,7 @@ def fill_kernel(scalar, serial: bool, of: GridKind):
 
     @wp.func
     def neighbour(g: Grid, number: wp.int32, n: wp.int32) -> wp.int32:
-        """Return the number of neighbour `n` of a cell, which counts as a neighbour of its own."""
+        """Return the number of cell `n` in the block of 3^axes cells around the cell with the given number."""
         found = number + n % 3 - 1 + (n / 3 % 3 - 1) * (g.n[0] + 2)
         if wp.static(dims == 3):
             found += (n / 9 - 1) * (g.n[0] + 2) * (g.n[1] + 2)

@@ -77,7 +77,7 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def change(g: Grid, mesh: Fields, c: whole, axis: wp.int32) -> scalar:
-        """Return by how much the shear stress at a corner changes over one cell along an axis [Pa], in two dimensions.
+        """Return the change of the shear stress at a corner over one cell along an axis [Pa], in two dimensions.
 
         The stress is averaged over three neighbouring corners across this axis, so that oscillations from cell to cell
         do not amplify themselves.

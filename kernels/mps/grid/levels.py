@@ -53,7 +53,7 @@ def system_structs(scalar) -> SimpleNamespace:
         near: wp.array(dtype=wp.int32)
         # Value of each off-diagonal entry of the matrix times -1, shape (n * near_capacity,).
         coefficient: wp.array(dtype=scalar)
-        # Change of an unknown divided by its residual, in a smoothing step, shape (n,).
+        # Factor of each row in a smoothing step, which adds this factor times the residual to the unknown, shape (n,).
         smoothing: wp.array(dtype=scalar)
         # For each matrix row, the row of the next coarser multigrid level into which it is merged, or -1, shape (n,).
         parent: wp.array(dtype=wp.int32)
@@ -84,12 +84,12 @@ def system_structs(scalar) -> SimpleNamespace:
         # Search direction, shape (m,); on a GPU the old and the new direction, shape (2 m,).
         direction: wp.array(dtype=scalar)
         product: wp.array(dtype=scalar)  # Product of the matrix and the search direction, shape (m,).
-        partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk for three inner products.
+        partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk, for three inner products.
         stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
 
         # Number of iterations, and norm of the residual at the start and at the end of the solve, shape (OUTCOME,).
         outcome: wp.array(dtype=wp.float64)
-        history: wp.array(dtype=wp.float64)  # Residual norm after each iteration of the solve.
+        history: wp.array(dtype=wp.float64)  # Residual norm after each iteration, up to the array's length.
 
     return SimpleNamespace(Matrix=Matrix, Solve=Solve)
 

@@ -48,7 +48,7 @@ FAMILY_SUM = """
 
 @functools.cache
 def family_sum_function(scalar):
-    """Build the function that sums a value over `members` neighbouring GPU threads; a CPU thread gets its own value."""
+    """Build the function that sums a value over `members` adjacent GPU threads; on a CPU it returns its argument."""
 
     @wp.func_native(FAMILY_SUM)
     def family_sum(part: scalar, members: wp.int32) -> scalar: ...

@@ -50,8 +50,8 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
     def on_grid(g: Grid, c: whole) -> wp.bool:
         """Return whether a face or edge with the indices `c` exists.
 
-        Along a periodic grid each face and edge is counted once. Those at the upper end are the same as those at the
-        lower end, so the function returns False for them.
+        Along a periodic pipe, the faces and edges at the upper end of the grid are the same as those at the lower end.
+        The function returns False for them, so that each face and edge counts once.
         """
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
@@ -63,7 +63,8 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
     def reached(g: Grid, c: whole) -> wp.bool:
         """Return whether a face or edge with the indices `c` exists.
 
-        A periodic grid repeats itself along the pipe, so the function accepts every index in this direction.
+        Unlike `on_grid`, the function returns True for every index along a periodic pipe, because the grid repeats
+        itself in this direction.
         """
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):

@@ -71,7 +71,7 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         viscous_number = mesh.in_cell[number] * scalar(mesh.clock[DT]) / (g.density * g.width[0] * g.width[0])
         part = scalar(CARRIED) * viscous_number / (viscous_number + scalar(STIFF))
         if mesh.clock[DT] < mesh.clock[LAST]:
-            # The pressure changes less in a shorter step.
+            # Pressures change less in a shorter step, so repeat a smaller part.
             part *= scalar(mesh.clock[DT] / mesh.clock[LAST])
         return part * mesh.pressure_change[number]
 
@@ -144,7 +144,8 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         change = mesh.increment[number]
         if mesh.pressure_change.shape[0] > 0:
             change += carried(g, mesh, number)
-            # The change by which the pressure of a cell rises from 0, when concrete reaches it, is no trend.
+            # When concrete reaches a cell, the pressure rises from 0. Do not store this change, because it will not
+            # repeat itself.
             is_trend = mesh.liquid[number] != 0 and mesh.pressure[number] != scalar(0.0)
             mesh.pressure_change[number] = wp.where(is_trend, change, scalar(0.0))
         mesh.pressure[number] = wp.where(mesh.liquid[number] != 0, mesh.pressure[number] + change, scalar(0.0))
@@ -171,7 +172,7 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
-        """Return how far below 1 a cell's particle density is because the cell and the cells around it are not full.
+        """Return the lack of particle density at a cell's centre due to unfilled parts of the cell and its neighbours.
 
         Particle densities are divided by the density in full cells. Concrete is assumed to be spread evenly within each
         cell.

@@ -86,10 +86,10 @@ def particle_functions(scalar, of: GridKind):
 
     @wp.func
     def cell_beside(g: Grid, c: whole, n: wp.int32, axis: wp.int32):
-        """Return the cell number `n` around a cell or around one of its lower faces, and whether the grid has it.
+        """Return the `n`-th cell around a cell, or around one of its lower faces, and whether this cell is in the grid.
 
-        The face is the lower side of cell `c` along `axis`; an `axis` of -1 stands for the cell itself. The cells
-        around cell `c` are three along each axis. The cells around a face are only two along the axis of the face.
+        The face is the lower side of cell `c` along `axis`; an `axis` of -1 stands for the cell itself. Around a cell
+        lie three cells along each axis. Around a face lie only two cells along the axis of the face.
         """
         o = whole()
         there = wp.bool(True)
@@ -127,7 +127,7 @@ def particle_functions(scalar, of: GridKind):
 
     @wp.func
     def at_all_faces(g: Grid, particles: Particles, mesh: Fields, c: whole):
-        """Return sums over particles at the lower faces of a cell: of weights, and of weighted velocities.
+        """Return two sums over particles for each lower face of a cell: the weights, and the weighted velocities.
 
         Every particle is read only once for all faces of the cell, which saves a GPU a third of the time.
         """
@@ -232,10 +232,11 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
 def extend_kernel(scalar, of: GridKind):
     """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
-    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it, so
-    these faces need velocities too.
+    The velocity of a particle near a free surface or a wall is interpolated from faces on both sides, so faces in the
+    air and inside walls need velocities, too.
 
-    - If walls are sides of cells, the velocity is continued linearly through its value at a wall.
+    - If walls are sides of cells, the velocity is extrapolated linearly into the wall from its values at the wall and
+      at the face beside it.
     - If walls cut cells, the velocities of ghost faces inside walls are unknowns of the solve instead.
 
     The kernel runs with one task per cell and extends the velocities by one cell per launch.
@@ -284,8 +285,8 @@ def extend_kernel(scalar, of: GridKind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # Continue the velocity linearly through its value at the wall. Leave out faces at the lower
-                            # end of the grid, which have a cell on one side only.
+                            # Extrapolate the velocity linearly into the wall. Leave out faces at the lower end of the
+                            # grid, which have a cell on one side only.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
