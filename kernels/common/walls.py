@@ -38,15 +38,15 @@ def wall_struct(scalar):
 
     @wp.struct
     class Wall:
-        kind: wp.int32
-        material: wp.int32
+        kind: wp.int32  # Shape of the wall: PLANE, PIPE or MESH.
+        material: wp.int32  # Index of the wall's material in the model.
         normal: t.vec3  # Unit normal of a plane, which points into the concrete, in the wall's frame.
         radius: scalar  # Inner radius of a pipe [m].
         first: wp.int32  # Index of the first axis segment of a pipe.
         last: wp.int32  # Index of the last axis segment of a pipe, plus 1.
         mesh: wp.uint64  # Identifier of a mesh wall's wp.Mesh, whose corners are in the wall's frame.
         first_face: wp.int32  # Index of a mesh wall's first face in the arrays of all faces.
-        motion: wp.int32
+        motion: wp.int32  # Kind of motion: FIXED, PRESCRIBED or DRIVEN.
         start_time: wp.float64  # Time at which the wall starts to move from rest [s].
         ramp_time: wp.float64  # Time in which the speed of a prescribed motion rises linearly to its final value [s].
 
@@ -59,7 +59,7 @@ def wall_struct(scalar):
         # If the wall is driven by a force: a vector in the direction of motion.
         velocity: wp.vec3d
         spin: wp.vec3d  # Angular velocity of the wall about `pivot` [rad/s].
-        pivot: wp.vec3d
+        pivot: wp.vec3d  # Point about which the wall rotates, before the translation with `velocity` [m].
         mass: wp.float64  # Inertia of a driven wall along its direction of motion [kg].
         drive_force: wp.float64  # Force that pushes a driven wall along its direction of motion [N].
         drive_damping: wp.float64  # Viscous damping of a driven wall's motion [N s/m].

@@ -131,9 +131,9 @@ def clump_kernel(
 
     Velocities are known at half steps and positions at full steps. The velocity kick spans from the middle of the
     previous step to the middle of this step, so the step size may vary. Angular momentum is integrated in space axes,
-    which conserves it also for three different principal moments. The spin is evaluated at the middle of the rotation,
-    which makes the rotation time-reversible and bounds its energy error. Bodies with stiff bonds move in several rounds
-    per step instead (sub-cycling); for them the kernel only stores the forces.
+    which conserves it also for bodies with three different principal moments of inertia. The spin is evaluated at the
+    middle of the rotation, which makes the rotation time-reversible and bounds its energy error. Bodies with stiff
+    bonds move in several rounds per step instead (sub-cycling); for them the kernel only stores the forces.
 
     On a GPU (full lists), 2^`lane_bits` threads of a warp of `width` share a body. Each thread sums the forces of some
     of the body's spheres, all threads compute the body's motion, and each updates the positions of its spheres. The

@@ -69,8 +69,7 @@ def recording_functions(scalar, bonds: bool):
     def old_row(
         scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), query: Query, i: wp.int32
     ):  # fmt: skip
-        """Return the range of a sphere's entries in the old neighbour list: the index of the first entry, and the index
-        after the last entry."""
+        """Return the index of a sphere's first entry in the old neighbour list, and the index after its last entry."""
         row = scenes.row[query.s].pairs
         place = old_place[i] + query.s
         return row + old_pairs.start[place], row + old_pairs.start[place + 1]

@@ -53,7 +53,7 @@ def grid_functions(scalar) -> SimpleNamespace:
     class Region:
         lowest: wp.vec3i  # index along each axis of the lowest cell in the searched region
         count: wp.vec3i  # number of cells in the searched region along each axis
-        runs: wp.int32
+        runs: wp.int32  # number of runs in the searched region
 
     @wp.func
     def along(v: scalar) -> wp.int32:

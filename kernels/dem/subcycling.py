@@ -1,14 +1,14 @@
 """Sub-cycling of stiff bonds: bodies with stiff bonds move in several rounds per time step (multiple time stepping).
 
 Bonds of hydrated contacts are so stiff that leapfrog needs a tenth or a hundredth of the step that all other contacts
-allow. A time step with sub-cycling has three parts. First, the contact kernels evaluate all contacts other than pairs
-in a stiff bond. Second, bodies without stiff bonds move by one leapfrog step, as without sub-cycling. Third, bodies
-with stiff bonds go through several rounds of velocity Verlet, from the middle of the previous step to the middle of
-this step. Each round recomputes the forces of the stiff pairs (contact and bond); all other forces stay constant
+allow. A time step with sub-cycling has three parts. First, the contact kernels evaluate all contacts except those of
+pairs with a stiff bond. Second, bodies without stiff bonds move by one leapfrog step, as without sub-cycling. Third,
+bodies with stiff bonds go through several rounds of velocity Verlet, from the middle of the previous step to the middle
+of this step. Each round recomputes the forces of the stiff pairs (contact and bond); all other forces stay constant
 through the step.
 
 The contact kernels need positions at the end of a step. For a body with stiff bonds they use its position extrapolated
-with its velocity. For a group of bodies that moves as a whole this scheme equals leapfrog (half a drift, kick, half a
+with its velocity. For a group of bodies that moves as a whole this scheme equals leapfrog (half drift, kick, half
 drift). Momentum is conserved, because both bodies of a contact receive the same impulse.
 
 An alternative was tried and rejected: the usual scheme that applies all other forces as one kick per step (Tuckerman et

@@ -99,11 +99,13 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Numbers of the fluid particles near each particle, within the reach of the operators, shape (n *
         # near_capacity,).
         near: wp.array(dtype=wp.int32)
-        far_count: wp.array(dtype=wp.int32)
+        far_count: wp.array(dtype=wp.int32)  # Number of each particle's entries in `far`, shape (n,).
+
         # Numbers of the fluid particles that are beyond the reach of the operators from each particle, but within the
         # reach of the density weights, shape (n * far_capacity,).
         far: wp.array(dtype=wp.int32)
-        wall_count: wp.array(dtype=wp.int32)
+        wall_count: wp.array(dtype=wp.int32)  # Number of each particle's entries in `wall`, shape (n,).
+
         # Numbers of the wall particles near each fluid particle, shape (n * wall_capacity,).
         wall: wp.array(dtype=wp.int32)
         wall_position: wp.array(dtype=t.vec)  # Positions of all wall particles [m], shape (wall particles,).

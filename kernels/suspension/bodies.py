@@ -72,7 +72,7 @@ def body_structs(scalar) -> SimpleNamespace:
         velocity: wp.array(dtype=vec3)  # Velocity of each aggregate's centre [m/s], shape (n,).
         spin: wp.array(dtype=vec3)  # Angular velocity of each aggregate [rad/s], shape (n,).
         turn: wp.array(dtype=quat)  # Orientation of each aggregate, shape (n,).
-        radius: wp.array(dtype=scalar)  # Radius of a sphere with the volume of each aggregate [m], shape (n,).
+        radius: wp.array(dtype=scalar)  # Radius of the sphere with each aggregate's volume [m], shape (n,).
 
         # Mass of each aggregate minus the mass of the mortar in its place [kg], and moment of inertia of each aggregate
         # minus the moment of inertia of this mortar [kg m2], each of shape (n,).
@@ -101,7 +101,8 @@ def body_structs(scalar) -> SimpleNamespace:
         # principal axes of the aggregate, and `arm` along the axes of the grid.
         offset: wp.array(dtype=vec3)
         arm: wp.array(dtype=vec3)
-        moments: wp.array(dtype=vec3)  # Principal moments of inertia of each aggregate over its mass [m2], shape (n,).
+        # Principal moments of inertia of each aggregate, divided by its mass [m2], shape (n,).
+        moments: wp.array(dtype=vec3)
         # Inertia tensor of each aggregate minus the inertia tensor of the mortar in its place, along the axes of the
         # grid [kg m2], shape (n,).
         tensor: wp.array(dtype=mat33)

@@ -149,10 +149,10 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
         A pressure gradient that changes slowly in space accelerates mortar, and drives it past aggregates and walls.
         The resistance of a face to this motion is its inertia plus a part of its viscous resistance. The viscous
-        resistance is the diagonal of the viscous matrix without inertia, and `drag` is the part that counts. Faces that
-        move with an aggregate have BODY_RESISTANCE times the mean resistance of its faces instead, because their
-        viscous resistance is 0 inside the aggregate. A matrix with such faces would be so ill-conditioned in long time
-        steps that a pressure solve would need a hundred iterations.
+        resistance is the diagonal of the viscous matrix without inertia, and the fraction `drag` of it is included.
+        Inside an aggregate the viscous resistance is 0, so a face that moves with an aggregate has BODY_RESISTANCE
+        times the mean resistance of the aggregate's faces instead. With zero resistances, the matrix would be so
+        ill-conditioned in long time steps that a pressure solve would need a hundred iterations.
 
         `yielding` is YIELDING times the pressure per net inflow if the velocities of all other faces are fixed. It is 0
         if all faces of the cell move with aggregates, because the cell's pressure then has no effect.
@@ -236,9 +236,9 @@ def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     They run with `tasks` tasks for faces and cells, and with further tasks for the aggregates, which
     :func:`share_of_body` distributes. `many` holds `count` vectors one after the other.
 
-    - `weigh` multiplies a vector by the weights of the inner product of two vectors.
-    - `products` computes partial sums of the inner products of a weighted vector and each vector of `many`. The partial
-      sums of the inner product number k begin at index k times the number `partials` of partial sums.
+    - `weigh` multiplies each entry of a vector by the weight of this entry in inner products.
+    - `products` computes partial sums of the inner products of a weighted vector and each vector of `many`. Each inner
+      product has `partials` partial sums; those of inner product k begin at index k * `partials`.
     - `combine` subtracts a multiple of each vector of `many` from a vector.
     """
     Grid = grid_parameters_struct(scalar, 3)

@@ -36,7 +36,7 @@ SAME = wp.constant(0.8)
 """Cosine of the angle between the normals of two walls above which they may be the same wall."""
 LOOKED_AT = wp.constant(2.0)
 """Largest gap at which two aggregates count as neighbours, divided by the width of a cell. In one time step each
-aggregate moves by at most one cell, so two aggregates approach by at most two."""
+aggregate moves by at most one cell, so the gap between two aggregates shrinks by at most two cells."""
 
 
 @functools.cache
@@ -124,8 +124,8 @@ def store_functions(scalar) -> SimpleNamespace:
         pairs.lubrication[place] = lubrication
         drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
         pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
-        # A contact force removes an overlap within the time `longest`. It would slow down two aggregates that separate
-        # faster than this force would separate them, so they do not count as touching.
+        # A contact force removes an overlap within the time `longest`. It would slow down aggregates that already
+        # separate faster than that, so do not count such aggregates as touching.
         parting = gap < rough and -approach * longest > rough - gap
         pairs.touching[place] = wp.where(gap - approach * dt < rough and not parting, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
@@ -133,7 +133,7 @@ def store_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def is_known(pairs: Pairs, b: wp.int32, count: wp.int32, normal: vec, gap: scalar, radius: scalar) -> wp.bool:
-        """Return whether a wall with about the given normal and gap is already among the neighbours of a sphere."""
+        """Return whether the stored neighbours of a sphere include a wall with nearly the given normal and gap."""
         for k in range(count):
             place = b * CAPACITY + k
             if pairs.other[place] == WALL and wp.dot(pairs.normal[place], normal) > scalar(SAME):

@@ -1,8 +1,8 @@
 """Viscous forces, pressure and weight on the faces of a grid, and the matrix of the implicit solve for velocities.
 
 The viscous forces result from stretch in cells and shear at edges. They are derivatives of a single dissipation
-function, however the viscosity varies in space. The matrix is therefore symmetric, and every force on a face has an
-opposite force on neighbouring faces.
+function, for any distribution of the viscosity in space. The matrix is therefore symmetric, and every force on a face
+has an opposite force on neighbouring faces.
 """
 
 import functools

@@ -101,7 +101,7 @@ def level_kernels(scalar, serial: bool) -> SimpleNamespace:
     - `coarsen` computes the matrix of one level from the matrix of the next finer level, with one task per coarse row.
     - `damp` computes the factors of the smoothing steps, with one task per row of all levels.
     - `list_rows` lists the rows with an unknown. On a CPU the kernel runs as one task. On a GPU it runs with one task
-      per row, after a prefix sum of `free` has been stored in `before`.
+      per row; `before` must then hold the exclusive prefix sums of `free`, which is 1 for rows without an unknown.
     """
     Matrix = system_structs(scalar).Matrix
     entry = row_place(serial)

@@ -23,8 +23,8 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
     """Build functions of a flow law: viscosity as a function of the shear rate, and rate as a function of the stress.
 
     `apparent` returns the apparent viscosity of the regularised law. `sums` replaces the law below the yield stress by
-    a straight line. For a stress of at least zero, it returns the shear rate, the integral of the rate over the stress
-    from 0, and the integral of that integral.
+    a straight line. For a stress of at least zero, it returns the shear rate, and the first and the second integral of
+    the rate over the stress from 0.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     h = law_functions(scalar, law)
