@@ -374,7 +374,7 @@ def test_what_failed_before_it_began_can_be_let_go():
 
 
 def test_a_method_must_bring_what_a_simulation_needs():
-    with pytest.raises(TypeError, match=r"Half lacks .*prepare"):
+    with pytest.raises(TypeError, match=r"Half does not define .*prepare"):
         type("Half", (Simulation,), {"scene_type": int})
     assert all(kind.__name__ != "Half" for kind in Simulation.kinds)
 

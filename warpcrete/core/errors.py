@@ -37,7 +37,7 @@ class SceneError(WarpcreteError, ValueError):
 
 
 class DeviceError(WarpcreteError):
-    """Error: the requested device does not exist on this machine."""
+    """Error: the requested device does not exist, or Warp's files of compiled kernels cannot be read or written."""
 
 
 class RunFolderError(WarpcreteError):
@@ -56,9 +56,9 @@ def is_full(error: BaseException) -> bool:
 class InstabilityError(WarpcreteError):
     """Error: the simulated state is no longer physically meaningful, so the run must end.
 
-    `what` says what happened, `time` is the simulated time [s], `body` is the permanent number of the body concerned,
-    and `cure` lists usual cures. Time and body are None, and the cure is empty, if they are not known. The message
-    contains all that is known.
+    `what` says what happened. `time` is the simulated time [s], and `body` is the permanent number of the body
+    concerned; each of the two is None if it is not known. `cure` lists usual cures, or is empty. The message contains
+    all that is known.
     """
 
     def __init__(self, what: str, *, time: float | None = None, body: int | None = None, cure: str = "") -> None:
@@ -109,9 +109,9 @@ class PlausibilityWarning(UserWarning):
 
 
 def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
-    """Return `text` without control characters and line breaks, shortened to `longest` characters.
+    """Return `text` without control characters and line breaks.
 
-    A text that is too long loses its middle part.
+    If it has more than `longest` characters, leave out its middle part.
     """
     if len(text) > longest:
         half = longest // 2
@@ -120,7 +120,7 @@ def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return a value as quoted text for a message, shortened if it is long."""
+    """Return the `repr` of a value as one line for a message, shortened if it is long."""
     if isinstance(value, int) and value.bit_length() > LONGEST_NUMBER:
         return f"a number of {value.bit_length()} bits"
     try:
@@ -131,7 +131,7 @@ def quoted(value: object) -> str:
 
 
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
-    """Give a warning whose location is the line of the user's program that called this package."""
+    """Give a warning that points at the line of the user's program that called this package."""
     frame, level = sys._getframe(1), 2  # pyright: ignore[reportPrivateUsage]
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in NOT_THE_USERS:
         frame, level = frame.f_back, level + 1
@@ -152,12 +152,12 @@ def warn_in_one_line() -> None:
 
 
 def at_least(value: float, digits: int = 3) -> str:
-    """Return a lower limit as text with few digits; it is rounded up, so that the written number is also allowed."""
+    """Return a lower limit as text with `digits` digits, rounded up so that the written number itself is allowed."""
     return _rounded(value, digits, ROUND_CEILING)
 
 
 def at_most(value: float, digits: int = 3) -> str:
-    """Return an upper limit as text with few digits; it is rounded down, so that the written number is also allowed."""
+    """Return an upper limit as text with `digits` digits, rounded down so that the written number itself is allowed."""
     return _rounded(value, digits, ROUND_FLOOR)
 
 
@@ -184,14 +184,15 @@ RELATED = {
     "threads": ("processes", "the number of cases that run at once"),
     "processes": ("threads", "the number of threads of the run"),
 }
-"""Names that users may confuse: for each parameter or option, the name and the meaning of the one that some commands
-have instead."""
+"""Names that users may confuse. Each key is a parameter or an option; the value is the name of a related one that some
+commands have instead, and its meaning."""
 
 
 def suggested(word: object, known: Iterable[object]) -> str:
-    """Return "did you mean ...?" with a name of the same purpose or the closest `known` word; empty if none is close.
+    """Return the question "did you mean ...?" with the one of the `known` words that `word` probably stands for.
 
-    A name of the same purpose is the present name for a former name, or the name that :data:`RELATED` states.
+    This is the word that :data:`RELATED` or :data:`RENAMED` states for `word`, or else the word with the most similar
+    spelling. The result is empty if there is no such word.
     """
     if not isinstance(word, str):
         return ""
@@ -238,8 +239,7 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 
 def whole(field: str, value: object, lower: int, upper: int | None = None) -> None:
-    """Raise :class:`SceneError` unless `value` is a whole number in [lower, upper], or at least `lower` if there is no
-    `upper`."""
+    """Raise :class:`SceneError` unless `value` is a whole number in [lower, upper]; None for `upper` means no limit."""
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     count = int(cast(int, value)) if is_whole else None
     if count is None or count < lower or (upper is not None and count > upper):

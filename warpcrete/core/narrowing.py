@@ -1,5 +1,7 @@
-"""Functions that check the type of a value; type checkers then know this type, but not the type of a list's
-elements."""
+"""Functions that check the type of a value, so that type checkers know the type afterwards.
+
+The types of the elements of lists and mappings remain open.
+"""
 
 from __future__ import annotations
 

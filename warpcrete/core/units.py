@@ -41,5 +41,5 @@ def shown(unit: str) -> tuple[float, str]:
 
 
 def rounded(value: float, digits: int = 4) -> str:
-    """Return a number as text with few significant digits; numbers from 0.0001 to 999,900 have no exponent."""
+    """Return a number as text with `digits` significant digits; it has an exponent below 0.0001 and from 1e6 on."""
     return f"{float(f'{value:.{digits}g}'):g}"

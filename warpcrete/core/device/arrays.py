@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     def copy_array(
         dest: DeviceArray, src: DeviceArray, dest_offset: int = 0, src_offset: int = 0, count: int = 0
     ) -> None:
-        """Copy `count` elements of `src` to `dest`; with `count` = 0, copy the whole array."""
+        """Copy `count` elements of `src` to `dest`, or the whole array if `count` is 0."""
 
     def load_module(module: KernelModule, *, device: wp.Device, block_dim: int) -> None:
         """Compile the kernels of a module, or load them from the cache."""
@@ -94,7 +94,7 @@ if TYPE_CHECKING:
         kernel: Kernel, *, dim: Shape, inputs: Sequence[object], device: wp.Device, record_cmd: bool = False,
         block_dim: int = 256,
     ) -> wp.Launch | None:  # fmt: skip
-        """Launch a kernel; with `record_cmd`, return an object for later launches instead of running the kernel."""
+        """Launch a kernel or, if `record_cmd` is true, return an object that launches it later."""
 
     def capture_if(condition: DeviceArray, on_true: Callable[[], None]) -> None:
         """Add the work that `on_true` launches to a graph, as a conditional node.
@@ -113,7 +113,7 @@ if TYPE_CHECKING:
         ...
 
     def is_struct(value: object) -> bool:
-        """Return whether a kernel argument is a struct of Warp, as opposed to a number or an array."""
+        """Return whether a kernel argument is a Warp struct, as opposed to a number or an array."""
         ...
 
 else:
@@ -125,11 +125,11 @@ else:
 
 
 class StructMember(Protocol):
-    """Member of a struct type of Warp, with its type annotation, for example ``wp.array(dtype=...)``."""
+    """Member of a Warp struct; `type` is its type annotation."""
 
     @property
     def type(self) -> Any:
-        """Type annotation of a struct's member, such as ``wp.array(dtype=...)``."""
+        """Type annotation of the struct member, such as ``wp.array(dtype=...)``."""
         ...
 
 
@@ -221,9 +221,9 @@ class LoadedModule(Protocol):
 
 
 def host_copy(array: DeviceArray) -> HostArray:
-    """Return the present values of an array, in host memory that no later change of the array affects.
+    """Return the current values of an array as a copy in host memory, which later changes of the array do not affect.
 
-    `array.numpy()` alone shares the memory of an array on a CPU.
+    In contrast, the result of `array.numpy()` shares the memory of an array on a CPU.
     """
     return array.numpy().copy() if array.device.is_cpu else array.numpy()
 
@@ -231,7 +231,7 @@ def host_copy(array: DeviceArray) -> HostArray:
 def declared(struct: Struct) -> Struct:
     """Return `struct` unchanged, so that a type checker regards it as a :class:`Struct`.
 
-    Warp leaves the type of a struct open. An annotation of the variable does not suffice, because the type checker
-    would keep the unknown type of the assigned value.
+    The decorator ``wp.struct`` does not declare the type of its result. An annotation of the variable does not suffice,
+    because the type checker would keep the unknown type of the assigned value.
     """
     return struct

@@ -43,9 +43,10 @@ def thread_pinner(threads: int) -> Callable[[], None]:
 
 
 def core_waiting_time(thread: int) -> float:
-    """Return the time that a thread of this process was ready to run but had no core [s]; 0 if unknown.
+    """Return the total time since a thread's start in which it was ready to run but had no core [s]; 0 if unknown.
 
-    Linux reports this time in `/proc/self/task/THREAD/schedstat`.
+    `thread` is the native id of a thread of this process. Linux reports the time in
+    `/proc/self/task/THREAD/schedstat`.
     """
     try:
         return 1e-9 * int(Path(f"/proc/self/task/{thread}/schedstat").read_text(encoding="utf-8").split()[1])

@@ -116,12 +116,12 @@ def scalar_of(precision: str) -> Scalar:
 
 
 def default_threads() -> int:
-    """Return the number of CPU cores that this process may use, by its affinity and its container's quota."""
+    """Return the number of CPU cores that this process may use, given its CPU affinity and its container's quota."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="utf-8").split()
         cores = min(cores, max(1, int(quota) // int(period)))
-    except (OSError, ValueError):  # No CPU quota is set, so use all cores of the affinity.
+    except (OSError, ValueError):  # No CPU quota is set.
         pass
     return cores
 
@@ -135,7 +135,7 @@ def checked_threads(threads: int | None) -> int:
         return default_threads()
     cores = os.cpu_count() or 1
     if not is_number(threads) or not 1 <= threads <= cores or int(threads) != threads:
-        refuse("threads", threads, f"must be in [1, {cores}], the number of cores of this machine")
+        refuse("threads", threads, f"must be a whole number from 1 to {cores}, the number of cores of this machine")
     return int(threads)
 
 

@@ -28,7 +28,7 @@ class PinnedBuffers:
         self._device = device
         self._memory = [empty(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in arrays]
         self.views = [memory.numpy() for memory in self._memory]
-        """Page-locked memory as NumPy arrays: the data copied from the device, or the data to copy to the device."""
+        """NumPy views of the page-locked memory: the data copied from the device, or the data to copy to the device."""
         self.last_write = 0
         """Serial number of the last write that used this page-locked memory; :class:`Exchange` counts the writes."""
         self._copied_once = False
@@ -88,7 +88,7 @@ class LaunchAndRead:
 
 
 class Exchange:
-    """Access of the host to arrays of one device: by asynchronous copies to and from a GPU, directly on a CPU."""
+    """Reader and writer of arrays on one device: by asynchronous copies to and from a GPU, directly on a CPU."""
 
     def __init__(self, device: wp.Device) -> None:
         self.device = device
@@ -117,7 +117,7 @@ class Exchange:
             before = self._last_write
             # Keep a reference to the page-locked memory of the pending read. The cache of page-locked memory may drop
             # its own reference when a set of other arrays is read or written.
-            self._pending_buffers = self._buffers("asked", arrays)
+            self._pending_buffers = self._buffers("asynchronous read", arrays)
             self._pending_buffers.gather(arrays)
             self._read_event = self.device.stream.record_event(self._read_event)
             self._last_write_before_read = before
@@ -147,7 +147,7 @@ class Exchange:
                 array.assign(values)
             return
         arrays = [array for array, _ in pairs]
-        buffers = self._buffers("written", arrays)
+        buffers = self._buffers("write", arrays)
         # Before the page-locked memory is reused, wait until its last copy to the device is complete.
         if buffers.last_write > self._last_completed_write:
             self._wait()

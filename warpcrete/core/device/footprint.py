@@ -10,7 +10,7 @@ from .arrays import DeviceArray, is_struct
 
 
 def arrays_of(name: str, root: object) -> Iterator[tuple[str, DeviceArray]]:
-    """Yield each Warp array in `root` that owns its memory, with its path such as "NAME.attribute.key".
+    """Yield (path, array) for each Warp array in `root` that owns its memory; a path is like "NAME.attribute.key".
 
     The search descends into lists, mappings, meshes, structs and the attributes of objects of this package. Each path
     begins with `name`.
@@ -39,8 +39,10 @@ def arrays_of(name: str, root: object) -> Iterator[tuple[str, DeviceArray]]:
 
 
 def footprint(**roots: object) -> dict[str, int]:
-    """Return the device memory of each object [B]; an array that several objects use counts only for the first of these
-    objects."""
+    """Return the device memory of each object [B], by name.
+
+    An array that several objects use is counted only for the first of these objects.
+    """
     sizes: dict[str, int] = dict.fromkeys(roots, 0)
     counted: set[int] = set()
     for name, root in roots.items():

@@ -43,10 +43,10 @@ def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
 def _lock_collections() -> None:
     """Make garbage collections hold the lock `_collecting_or_capturing` from now on.
 
-    Wait until a collection that runs without the lock has ended.
+    If a collection is running, which does not hold the lock yet, wait until it has ended.
 
-    The first capture calls this function, so a program that captures no graph has no such callback. This matters
-    because Python drops exceptions inside a callback of the collector: a Ctrl-C that arrives there is lost.
+    The first capture calls this function, so a program that captures no graph has no callback of the collector. Python
+    drops exceptions inside such a callback: a Ctrl-C that arrives there is lost.
     """
     if _hold_lock_during_collection in gc.callbacks:
         return

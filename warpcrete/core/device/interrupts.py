@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C, SIGTERM and SIGHUP: they wait until a block of code has ended, or end runs in an orderly way."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP: defer them until a block of code has ended, or end runs in an orderly way."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def defer_interrupts() -> Generator[None]:
-    """Defer Ctrl-C and SIGTERM until the `with` block has ended; outside the main thread, do nothing."""
+    """Defer Ctrl-C, SIGTERM and SIGHUP until the `with` block has ended; outside the main thread, do nothing."""
     if not _in_main_thread():
         yield
         return
@@ -74,7 +74,7 @@ def terminate_as_interrupt(simulation: SimulationOnDevice) -> Generator[None]:
 
 
 class StopAtSample:
-    """Context in which Ctrl-C ends each of the `simulations` at its next sample, a new row of its time series.
+    """Context in which Ctrl-C ends each of the `simulations` at its next sample, when its time series gets a new row.
 
     A second Ctrl-C ends the simulations at once. Ctrl-C has no effect while all simulations are writing their results.
     Outside the main thread, this context does nothing.
@@ -110,7 +110,7 @@ class StopAtSample:
 
 
 def ignore_interrupts() -> None:
-    """Ignore Ctrl-C and the end of the terminal in a worker process, because its parent process handles them."""
+    """Ignore Ctrl-C and SIGHUP (closed terminal) in a worker process, because its parent process handles them."""
     for number in SIGNALS:
         if number != signal.SIGTERM:
             signal.signal(number, signal.SIG_IGN)

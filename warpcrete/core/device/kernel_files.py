@@ -34,7 +34,7 @@ def kernel_files() -> Generator[set[Path]]:
 def kernel_cache_errors() -> Generator[None]:
     """Raise :class:`DeviceError` if the `with` block cannot read or write Warp's files of compiled kernels.
 
-    A full disk raises :class:`DiskFullError` instead, which also ends a run as a full disk.
+    If the disk is full, raise :class:`DiskFullError` instead, so that the run reports a full disk as its end.
     """
     try:
         yield
@@ -43,7 +43,7 @@ def kernel_cache_errors() -> Generator[None]:
 
 
 def kernel_cache_problem(error: OSError) -> str:
-    """Return a message on an error in reading or writing Warp's files of compiled kernels."""
+    """Return the message for an `error` in reading or writing Warp's files of compiled kernels."""
     verb = "written" if is_full(error) or error.errno == errno.EROFS else "used"
     return (f"kernel cache = '{error.filename or wp.config.kernel_cache_dir}': cannot be {verb} "
             f"({error.strerror or error}); set the environment variable WARP_CACHE_PATH to a folder in which files can "
@@ -57,6 +57,6 @@ def in_kernel_cache(error: OSError) -> bool:
 
 
 def note_use(module: KernelModule) -> None:
-    """Note that the kernels of `module` are loaded or launched, for :func:`kernel_files`."""
+    """Register `module`, whose kernels are loaded or launched, in all open :func:`kernel_files` blocks."""
     for modules in _open_blocks:
         modules.add(module)

@@ -60,20 +60,21 @@ def bound(kernel: Kernel, named: Mapping[str, object]) -> list[object]:
     missing, strange = [n for n in names if n not in named], sorted(set(named) - set(names))
     if missing or strange:
         raise TypeError(
-            f"kernel {kernel.key}: arguments {missing} are missing, and {strange} are not parameters of the kernel"
+            f"kernel {kernel.key}: missing arguments: {', '.join(missing) or 'none'}; arguments that are not "
+            f"parameters of the kernel: {', '.join(strange) or 'none'}"
         )
     return [named[name] for name in names]
 
 
 def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
-    """Return a kernel's arguments by parameter name: the arguments in `named`, completed by values from `common`."""
+    """Return a kernel's arguments by parameter name: those in `named`, and values from `common` for the others."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 
 def struct_arguments(kernel: Kernel, **structs: object) -> Arguments:
-    """Return members of `structs` as kernel arguments: ``bodies_mass`` gets the member ``mass`` of ``bodies``.
+    """Return kernel arguments taken from `structs`: parameter ``bodies_mass`` gets the member ``mass`` of ``bodies``.
 
-    The result has an entry for each parameter of the kernel whose name matches a member of a struct in this way.
+    The result has an entry for each kernel parameter whose name consists of a struct's name and a member's name.
     """
     arguments: Arguments = {}
     for name in parameter_names(kernel):
@@ -94,10 +95,10 @@ def launch(kernel: Kernel, dim: Size, device: wp.Device, **named: object) -> Non
 class Stage:
     """One kernel launch, which is recorded once and replayed until one of its arrays changes.
 
-    On a GPU, stages with `on_side_stream` run on a side stream, at the same time as the stages that follow, until a
-    stage with `joins_side_stream` waits for them. All `on_side_stream` stages of a step run one after the other. A
-    stage with `every` = n runs once in n steps: in the first of every n steps of a graph. If a graph has fewer than
-    n / 2 steps, the :class:`Launcher` runs this stage between graphs instead.
+    On a GPU, stages with `on_side_stream` run one after the other on a side stream, at the same time as the other
+    stages that follow. A stage with `joins_side_stream` waits for them. A stage with `every` = n runs once in n steps:
+    in the first of every n steps of a graph. If a graph has fewer than n / 2 steps, the :class:`Launcher` runs this
+    stage between graphs instead.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class Stage:
         return self.kernel.func.__name__
 
     def is_due(self, turn: int, size: int) -> bool:
-        """Return whether this launch is part of step `turn` of a launch graph; its `size` steps are numbered from 0."""
+        """Return whether this launch is part of step `turn` (from 0) of a launch graph with `size` steps."""
         return turn % self.every == 0 and 2 * size >= self.every
 
     def record(self) -> None:
@@ -156,8 +157,8 @@ _compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar(
 def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
     """Report the progress of compiling inside the `with` block.
 
-    If compiling takes longer than `COMPILE_PROGRESS_DELAY`, the function `tell` is called with the word "compiling" and
-    the fraction done.
+    If compiling takes longer than `COMPILE_PROGRESS_DELAY`, call `tell` with the word "compiling" and the fraction of
+    the modules that is done.
     """
     token = _compile_callback.set(tell)
     try:
@@ -213,8 +214,10 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
-    """Sort modules, each with its block size: modules with the most kernel parameters go first, because they compile
-    longest."""
+    """Sort pairs of a module and a block size.
+
+    Modules with the most kernel parameters go first, because they take longest to compile.
+    """
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
@@ -250,7 +253,7 @@ def merge_thread_stages(step: Step) -> Step:
 
 
 class Launcher:
-    """Launcher of time steps, which replays launch graphs of several steps each.
+    """Launcher of time steps: it records launch graphs of several steps each, and replays them.
 
     A step consists of one list of stages (kernel launches) for each thread, and each thread replays graphs of its own
     list. While other processes use the cores, one thread does all the work; :mod:`.cores` explains why this is faster.
@@ -271,7 +274,7 @@ class Launcher:
             weakref.finalize(self, self._pool.shutdown, wait=False)
 
     def barrier(self) -> list[Stage]:
-        """Return the kernel launch that makes a thread wait for all others, in a list; empty with a single thread."""
+        """Return a list with the kernel launch that makes a thread wait for all others; empty for a single thread."""
         if self.threads == 1:
             return []
         kernel: Kernel = barrier  # pyright: ignore[reportAssignmentType, reportUnknownVariableType]
@@ -290,12 +293,12 @@ class Launcher:
         ended: Callable[[], bool],
         appended: GraphLaunch | None = None,
     ) -> None:
-        """Replay one recorded graph of steps for each entry of `sizes`, which is the number of steps in the graph.
+        """Replay recorded graphs of time steps; `sizes` are the numbers of steps in the successive graphs.
 
         `step` contains the kernel launches of each thread in one step. `single_thread_step` returns the same step for
-        one thread that does all the work. The launches in `appended`, which only a GPU uses, are added at the end of
-        each graph. On a CPU, `ended` is called after each graph; if it returns True, the remaining steps would do
-        nothing and are left out.
+        one thread that does all the work. The launches in `appended` run at the end of each graph, on a GPU only. On a
+        CPU, `ended` is called after each graph. If it returns True, the remaining steps would change nothing and are
+        left out.
         """
         left = list(sizes)
         while left:
@@ -319,7 +322,7 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Between two recorded graphs of steps, run the periodic kernel launches that are due and not in the graphs.
+        """Run the periodic kernel launches that are due and that the graphs replayed last did not contain.
 
         A kernel launch (stage) with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain
         it. `sizes` are the numbers of steps in the graphs that have just been replayed.
@@ -395,9 +398,9 @@ class Launcher:
 
 
 def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
-    """Launch stages (kernel launches) while a GPU's launch graph is captured; some of them run on a side stream.
+    """Launch stages (kernel launches) while a GPU's launch graph is captured.
 
-    These are the stages with `on_side_stream`. The main stream waits for the side stream before each stage with
+    Stages with `on_side_stream` run on a side stream. The main stream waits for the side stream before each stage with
     `joins_side_stream`, and after the last stage.
     """
     main, side, apart = device.stream, None, False

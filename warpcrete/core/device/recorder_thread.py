@@ -16,11 +16,11 @@ jobs, the run itself waits, so that no job is lost and memory stays bounded."""
 
 
 class RecorderThread:
-    """Queue of jobs that write a run's output, which run one after the other; with `in_thread`, in their own thread.
+    """Queue of jobs that write a run's output; the jobs run one after the other.
 
-    Without `in_thread`, the caller runs each job at once. After a job fails, every call raises the job's error, and no
-    other job runs. With `yields_to_run`, the thread lets the run use Python's interpreter first: see
-    :mod:`.interpreter_priority`.
+    If `in_thread` is true, they run in a thread of their own; otherwise the caller runs each job at once. After a job
+    fails, every call raises the job's error, and no other job runs. If `yields_to_run` is true, the thread lets the run
+    use Python's interpreter first: see :mod:`.interpreter_priority`.
     """
 
     def __init__(self, in_thread: bool, yields_to_run: bool = False) -> None:
@@ -32,16 +32,16 @@ class RecorderThread:
 
     @classmethod
     def for_simulation(cls, simulation: SimulationOnDevice) -> RecorderThread:
-        """Return a queue of jobs that write a run's output, with its own thread on a GPU or if a CPU core is free.
+        """Return a queue of jobs that write the output of `simulation`.
 
-        Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not
-        share these cores.
+        The queue has its own thread if the run uses a GPU or leaves a CPU core free. Threads of a run that wait for one
+        another at barriers need a core each, so the recorder thread must not share these cores.
         """
         spare = not simulation.shares_cores and simulation.threads < default_threads()
         return cls(parallel(simulation.device) or spare, simulation.device.is_cuda)
 
     def submit(self, job: Callable[[], None]) -> None:
-        """Append a job that writes output to the recorder thread's queue; if there is no thread, run it at once."""
+        """Append a job that writes output to the queue; if the queue has no thread, run the job at once."""
         self._raise_error()
         if not self.in_thread:
             job()
@@ -67,9 +67,9 @@ class RecorderThread:
             yield_to_run()
 
     def close(self) -> None:
-        """End the thread that writes output as soon as it has done all jobs in the queue, and wait for its end.
+        """Wait until all jobs in the queue are done, then end the thread that writes output.
 
-        If a job failed, its error is raised.
+        If a job failed, raise its error.
         """
         if self._thread is not None:
             with run_is_waiting():

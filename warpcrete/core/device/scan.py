@@ -15,9 +15,8 @@ from .launching import Stage
 def scan_stages(values: DeviceArray, before: DeviceArray) -> list[Stage]:
     """Return stages (recorded kernel launches) that write the exclusive prefix sum of `values` to `before`.
 
-    The element `before[i]` is the sum of `values[0]` to `values[i - 1]`.
-
-    Both arrays have shape (n,) and are on one device.
+    The element `before[i]` is the sum of `values[0]` to `values[i - 1]`. Both arrays have shape (n,) and are on the
+    same device.
     """
     device = values.device
     count = len(values)

@@ -38,7 +38,7 @@ class SimulationOnDevice:
     stepper: Stepped
     """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
     shares_cores = False
-    """True if other runs use the CPU cores on which this run has no thread."""
+    """True if this run is one of several that share the machine, so that no CPU core is free for its recorders."""
     stop_requested = False
     """True if the run must end at its next sample, which adds a row to the time series."""
     finishing = False

@@ -129,9 +129,9 @@ class Lines:
 
 
 class Display(ABC):
-    """View of a simulation that gives recorders the data to draw; the quantity `colouring` colours the bodies.
+    """View of a simulation that gives recorders the data to draw.
 
-    `colouring` is one of the names in the attribute `colourings`; None selects the default, the attribute `preferred`.
+    `colouring` is the name of the quantity that colours the bodies, one of `colourings`; None selects `preferred`.
     Raises :class:`SceneError` for another value.
     """
 
@@ -194,8 +194,8 @@ class Display(ABC):
     def draw(self, later: RecorderThread, job: Callable[[float, int], None]) -> None:
         """Let `job` draw the present state; the arguments of `job` are the simulated time [s] and the number of steps.
 
-        The first job runs at once, and the display notes which values the job reads. For each later job, this
-        method copies the same values, and the thread `later` runs the job while the simulation goes on.
+        The first job runs at once, and the display records which values it reads. For each later job, this method
+        copies these values, and the thread `later` runs the job while the simulation goes on.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
         if not later.in_thread or not self._complete:
@@ -216,7 +216,7 @@ class Display(ABC):
 
     @property
     def preferred(self) -> str:
-        """Colouring that is used if the user chooses none."""
+        """Name of the quantity that colours the bodies if the user chooses none."""
         return self.colourings[0]
 
     @abstractmethod
@@ -253,9 +253,7 @@ class Display(ABC):
     def surface_values(self, surface: Surface) -> np.ndarray:
         """Return the values of the quantity that colours a surface, at the surface's vertices, shape (v,).
 
-        The values are in the unit of the colour scale.
-
-        Raises TypeError if the display has no surface.
+        The values are in the unit of the colour scale. Raises TypeError if the display has no surface.
         """
         raise TypeError(f"{type(self).__name__} does not draw a surface")
 
@@ -294,7 +292,7 @@ class Display(ABC):
         """Return the lowest and highest corner of everything that is drawn [m], shape (2, 3)."""
 
     direction: ClassVar[tuple[float, float, float]] = (0.2, -0.95, 0.24)
-    """Direction from the scene to the camera."""
+    """Direction from the scene to the camera (x, y, z): a vector of about unit length."""
 
     def paint(self) -> Paint | None:
         """Return the colour scale of walls that are coloured by a quantity, such as the worn depth.
@@ -307,12 +305,16 @@ class Display(ABC):
     def wall_values(self, number: int) -> np.ndarray | None:
         """Return the values of the quantity that colours a drawn wall, at the vertices of the wall, shape (v,).
 
-        The values are in the unit of the colour scale. The result is None for a wall of a single colour.
+        The values are in the unit of the colour scale. The result is None for a wall of a single colour. `number` is
+        the index of the wall in the list that :meth:`walls` returns.
         """
         return None
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the current position [m], shape (3,), and orientation quaternion (x, y, z, w) of a drawn wall."""
+        """Return the current position [m], shape (3,), and the orientation quaternion (x, y, z, w) of a drawn wall.
+
+        `number` is the index of the wall in the list that :meth:`walls` returns.
+        """
         return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
 
     def rigid_bodies(self) -> RigidBodies | None:
@@ -346,7 +348,7 @@ class Display(ABC):
     def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
         """Return a camera position and the point to look at, both of shape (3,) [m].
 
-        The camera looks from one side, from a distance of `distance` times the diagonal of the box around the scene.
+        The camera is at `distance` times the diagonal of the box around the scene, in the direction `direction`.
         """
         lower, upper = self.bounds()
         centre = 0.5 * (lower + upper)

@@ -41,7 +41,7 @@ def packed(colours: np.ndarray) -> np.ndarray:
 
 
 def colour_map(name: str) -> Any:
-    """Return the colour map with a name: this package's own map `concrete`, or a colour map of Matplotlib."""
+    """Return the colour map called `name`: this package's own map `concrete`, or a colour map of Matplotlib."""
     from matplotlib import colormaps
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -57,9 +57,9 @@ def _palette(name: str) -> np.ndarray:
 class Paint:
     """Colour scale of a quantity on walls, such as worn depth, whose maximum is unknown until the run ends.
 
-    A recording rounds each value to one of a fixed set of discrete values, which does not depend on the scale. The
-    recording stores one colour for each discrete value. When the upper end of the scale grows, only these colours are
-    written again, so earlier frames are also shown with the new scale.
+    A recording rounds each value to one of a fixed set of discrete values, and stores one colour for each of them.
+    These discrete values stay the same when the upper end of the scale grows. Only their colours are then written
+    again, so earlier frames are also shown with the new scale.
     """
 
     label: str
@@ -79,9 +79,9 @@ class Paint:
         """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
         `values` are in the displayed unit, and each index stands for a colour. Between neighbouring vertices, the
-        viewer interpolates the indices instead of the values, and large differences of the indices give wrong colours.
-        All values that have the first colour of the scale therefore get the same index, which keeps the differences
-        small.
+        viewer interpolates the indices, which are logarithms of the values. Large differences of the indices would
+        therefore give wrong colours. To limit them, all values that have the first colour of the scale get the same
+        index.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

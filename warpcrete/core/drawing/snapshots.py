@@ -1,4 +1,7 @@
-"""Copies of a run's state for drawing (snapshots): recorders share each copied value, and a GPU keeps stepping."""
+"""Copies of a run's state for drawing (snapshots).
+
+All recorders share each copied value. A GPU goes on with the simulation while its values are copied.
+"""
 
 import time
 from collections import deque
@@ -31,7 +34,7 @@ def _is_on_gpu(array: DeviceArray) -> bool:
 
 
 class PinnedPool:
-    """Pool of page-locked memory for asynchronous copies from a GPU, reused because the allocation is slow."""
+    """Pool of page-locked memory for asynchronous copies from a GPU; memory is reused because allocation is slow."""
 
     def __init__(self) -> None:
         self._free: dict[tuple[str, ...], tuple[Sequence[object], deque[PinnedBuffers]]] = {}
@@ -67,7 +70,7 @@ class PinnedPool:
 
 
 class PendingCopies:
-    """Asynchronous copies of GPU arrays, with the results of all work that was launched before the copies.
+    """Asynchronous copies of GPU arrays; they contain the results of all work that was launched before.
 
     The last copy is a flag, and a reader polls this flag in page-locked memory. The reader therefore makes no call to
     the driver, which refuses calls while the run captures a graph. The page-locked memory returns to the pool when
@@ -109,16 +112,16 @@ class Snapshot:
     time: float
     """Simulated time of the snapshot [s]."""
     steps: int
-    found: dict[str, object]
-    """Values of the snapshot by name. A value whose copy to the host is in flight is replaced by the
+    values: dict[str, object]
+    """Values of the snapshot by name. For a value whose copy to the host is in flight, the entry is the
     :class:`PendingCopies` object that receives the copy."""
     derived: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
     """Results computed from values of this snapshot, by name; all views of the simulation share them."""
 
     def read(self, name: str) -> object:
         """Return the value stored under `name`; if it is a copy in flight, wait until the copy has arrived."""
-        found = self.found[name]
-        return found[name] if isinstance(found, PendingCopies) else found
+        value = self.values[name]
+        return value[name] if isinstance(value, PendingCopies) else value
 
 
 class _Latest:
@@ -141,7 +144,7 @@ def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[
     time, steps = simulation.stepper.time, simulation.stepper.steps
     if (latest.snapshot.time, latest.snapshot.steps) != (time, steps):
         latest.snapshot = Snapshot(time, steps, {})
-    found = latest.snapshot.found
+    found = latest.snapshot.values
     new = {name: source() for name, source in sources.items() if name not in found}
     arrays = {name: value for name, value in new.items()
               if isinstance(value, DeviceArray) and value.size and _is_on_gpu(value)}  # fmt: skip

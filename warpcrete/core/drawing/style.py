@@ -50,7 +50,7 @@ def pumping_caption(name: str, radius: float, concrete: str, flow: float) -> str
 
 
 def explained(title: str, curves: Sequence[tuple[str, RGB]]) -> str:
-    """Return the title of a plot; if it has several curves, add the name of each curve and the word for its colour."""
+    """Return the title of a plot; for several curves, add the name of each curve and the word for its colour."""
     if len(curves) < 2:
         return title
     return f"{title}: {', '.join(f'{name} {NAMES[colour]}' for name, colour in curves)}"
@@ -60,7 +60,7 @@ def new_figure(caption: str = "", *heights: float) -> Any:
     """Return an empty Matplotlib figure of the standard width for panels below each other, with a caption at the top.
 
     `heights` are the heights of the panels with their labels and legends [inch]. The default is one panel of 3.5 inch.
-    Draw with Matplotlib's default sizes of text and lines, which suit the width.
+    The width suits Matplotlib's default sizes of text and lines, so plots should not change these sizes.
     """
     from matplotlib.figure import Figure
 
@@ -75,7 +75,7 @@ def legend_above(axes: Any, curves: Sequence[Any] | None = None, width: float = 
     """Put the legend above a plot, between the plot and its title.
 
     Its entries are the `curves` in their order. Without `curves`, the entries are all curves that have a label, sorted
-    by the value at the right end of each curve. `width` is the width of the plot relative to the width of the figure.
+    by the last value of each curve. `width` is the width of the plot relative to the width of the figure.
     """
     handles, labels = axes.get_legend_handles_labels()
     order: Sequence[int] = sorted(range(len(handles)), key=lambda k: -_end(handles[k]))
@@ -94,7 +94,7 @@ def legend_above(axes: Any, curves: Sequence[Any] | None = None, width: float = 
 
 
 def _end(handle: Any) -> float:
-    """Return the value of a curve at its right end; -infinity for a legend entry that is not a curve."""
+    """Return the last finite value of a curve; -infinity for a legend entry that is not a curve of several points."""
     # A curve with error bars is a container whose first line is the curve itself.
     line = getattr(handle, "lines", (handle,))[0]
     if not hasattr(line, "get_ydata"):

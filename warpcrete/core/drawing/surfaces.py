@@ -31,7 +31,10 @@ class Level:
     places: tuple[np.ndarray, ...]
     """Coordinates of the grid's nodes along each of the d axes [m]."""
     values: np.ndarray
-    """Value of the level-set function at each node of the grid, divided by the cell width, shape (n_1, ..., n_d)."""
+    """Dimensionless value of the level-set function at each node of the grid, shape (n_1, ..., n_d).
+
+    An example is the fraction of a cell that concrete fills, minus one half.
+    """
     fields: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     """Physical quantities at each node of the grid, by name, each with the shape of `values`."""
 
@@ -127,7 +130,7 @@ def revolved(level: Level, half: bool = False) -> Surface:
 
 
 def _section(net: _Net) -> Surface:
-    """Return a filled two-dimensional section as a flat surface in the plane y = 0, with normals towards y < 0."""
+    """Return a filled two-dimensional section as a flat surface in the plane y = 0; its normals point to y < 0."""
     faces = triangles(net.quads)
     vertices = np.insert(net.points, 1, 0.0, axis=1)
     return Surface(vertices, faces, np.tile([0.0, -1.0, 0.0], (len(vertices), 1)), net.fields)
@@ -232,8 +235,7 @@ class _Net:
         return np.cumsum(used) - 1
 
     def _crossings(self, axis: int) -> tuple[np.ndarray, ...]:
-        """Return the grid edges along one axis that cross the surface of the concrete: one end is inside, and the other
-        end is outside.
+        """Return the grid edges along one axis that cross the surface: one end is in the concrete, the other is not.
 
         With a cut, only concrete behind the cutting plane counts. The results, for m edges in d dimensions, are:
 
@@ -301,14 +303,15 @@ class _Net:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """Return the array `values` with one more node at both ends of each axis; a new node gets the value of its
-    neighbour."""
+    """Return `values` with one more node at both ends of each axis; a new node gets the value of its neighbour."""
     return np.pad(values.astype(float), 1, mode="edge") if values.size else np.zeros([2] * values.ndim)
 
 
 def _padded_places(place: np.ndarray) -> np.ndarray:
-    """Return the coordinates of nodes along an axis, with one more node at each end, as far away as the next inner
-    node."""
+    """Return the coordinates of nodes along an axis with one more node at each end.
+
+    The new spacing at an end equals the spacing between the last two nodes there.
+    """
     if len(place) < 2:
         return np.concatenate([place - 1, place, place + 1]) if len(place) else np.arange(2.0)
     return np.concatenate([[2 * place[0] - place[1]], place, [2 * place[-1] - place[-2]]])

@@ -74,8 +74,8 @@ unit to the internal unit. Gallons and fluid ounces (oz/yd3) are US units."""
 def accepted_units(unit: str) -> Mapping[str, float]:
     """Return the units in which an amount may be written, each with its factor to the internal unit `unit`.
 
-    A unit that is no key of :data:`UNITS`, such as the unit of a parameter in a user's own contact law, is the only
-    accepted unit of its amounts.
+    A unit that :data:`UNITS` does not list, such as the unit of a parameter in a user's own contact law, has no
+    alternatives: the result contains only this unit itself.
     """
     return UNITS.get(unit) or {unit: 1.0}
 
@@ -101,7 +101,7 @@ LONGEST = 100
 
 
 def _names(factors: tuple[float, ...]) -> str:
-    """Return a regular expression for the names of those units of length whose factor to metres is in `factors`."""
+    """Return a regular expression for the names of all units of length whose size in metres is in `factors`."""
     return _alternatives(name for name, factor in UNITS["m"].items() if factor in factors)
 
 
@@ -197,7 +197,7 @@ def is_amount(value: object, unit: str) -> bool:
 
 
 def is_customary(value: object) -> bool:
-    """Return whether `value` is, or contains in its lists and mappings, an amount in a customary US unit."""
+    """Return whether `value` is an amount in a customary US unit, or a list or mapping that contains such an amount."""
     if isinstance(value, Mapping):
         return any(map(is_customary, cast("Mapping[object, object]", value).values()))
     if isinstance(value, str):
@@ -219,8 +219,7 @@ def unit_names(unit: str) -> list[str]:
 
 
 def written_unit(values: Iterable[object], unit: str) -> str | None:
-    """Return the unit in which all `values` are written, or None if they are written without a unit or in several
-    units.
+    """Return the unit in which all `values` are written; None if they have no unit or different units.
 
     `unit` is the internal unit. Synonyms count as one unit: the result for "5 m³/h" is "m3/h".
     """
@@ -234,12 +233,12 @@ def written_unit(values: Iterable[object], unit: str) -> str | None:
 
 
 def amount(field: str, value: object, unit: str) -> float:
-    """Return a number or a text such as "125 mm" as a number in `unit`.
+    """Convert a number or a text such as "125 mm" to a number in the internal unit `unit`.
 
-    `unit` is the internal unit, whose :func:`accepted_units` the text may have, and `field` names the parameter in
-    error messages. A number without a unit counts as a number in `unit`. Lengths may be fractions of inches
-    ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal comma is accepted if it cannot separate thousands. Raises
-    :class:`SceneError` for an unknown unit, or if `value` is not a finite number.
+    A text may have any of the :func:`accepted_units` of `unit`. A number without a unit counts as a number in `unit`.
+    Lengths may be fractions of inches ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal comma is accepted if
+    it cannot separate thousands. Raises :class:`SceneError` about the parameter `field` for an unknown unit, or if
+    `value` is not a finite number.
     """
     number, more = math.nan, ""
     if isinstance(value, str):

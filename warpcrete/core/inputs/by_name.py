@@ -31,9 +31,9 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def names_from_file() -> Generator[None]:
-    """Forbid imports of modules that an input file names, inside the `with` block; also usable as a decorator.
+    """Forbid, inside the `with` block, imports of modules that an input file names; also usable as a decorator.
 
-    Modules that are loaded already stay usable. Inside :func:`trusted_files` the imports are allowed.
+    Modules that are loaded already stay usable. Inside a :func:`trusted_files` block, the imports are allowed.
     """
     token = _from_file.set(True)
     try:
@@ -44,7 +44,7 @@ def names_from_file() -> Generator[None]:
 
 @contextmanager
 def trusted_files() -> Generator[None]:
-    """Allow imports of modules that input files name, inside the `with` block, because the user trusts the files."""
+    """Allow, inside the `with` block, imports of modules that input files name, because the user trusts the files."""
     token = _trusted.set(True)
     try:
         yield
@@ -81,9 +81,9 @@ class ByName(CompositeRule):
         return hash(tuple(self.classes.items()))
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the parameters that belong to an object, by name. They are the fields of the object's class.
+        """Return the parameters that belong to the object `value`, by name: the fields of the object's class.
 
-        `value` is the object itself, or the name of its class.
+        `value` may also be the name of the class.
         """
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
@@ -104,10 +104,10 @@ class ByName(CompositeRule):
         return found
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
-        """Return an object's class name and field values, and whether these suffice to make an equal object.
+        """Return an object's class name and field values, and whether an equal object can be made from them.
 
-        They do not suffice if the class cannot be imported by its name, or if it has a field that no annotation
-        declares as a parameter.
+        This is impossible if the class cannot be imported by its name, or if it has a field that no annotation declares
+        as a parameter.
         """
         if value is None:
             return {field.name: None}, True
@@ -160,8 +160,7 @@ def _names_class(text: str) -> bool:
 def trust_option(record: object) -> str:
     """Return the option that a command needs before it may read `record` from a file: "--trust ", or an empty text.
 
-    The option is needed if the record of parameters, at any depth, names a class of the user's as
-    `package.module:Class`.
+    The option is needed if the record of parameters names, at any depth, a user's class as `package.module:Class`.
     """
     if isinstance(record, str):
         return "--trust " if _names_class(record) else ""
@@ -210,7 +209,7 @@ def _note_source(kind: type) -> None:
 
 
 def own_fields(name: str, kind: type) -> dict[str, Field]:
-    """Return the fields of the class `kind` as parameters of a scene, which are named NAME_FIELD with NAME = `name`."""
+    """Return the fields of the class `kind` as parameters of a scene, each called `name` + "_" + its field name."""
     group = f"Parameters of {name.replace('_', ' ')} {kind.__name__}."
     return {key: replace(field, name=key, group=group) for key, (field, _) in _leaves(name, kind)}
 
@@ -232,8 +231,8 @@ def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str
 def _object(name: str, kind: type, given: Any, values: Mapping[str, object]) -> object:
     """Return a new object of class `kind` with the field values in `values`.
 
-    Other fields get their values from the object `given`, or their defaults if `given` is None. `values` contains
-    parameters of the scene, whose names begin with `name`, the name of the object's own parameter.
+    Other fields get their values from the object `given`, or their defaults if `given` is None. `name` is the scene's
+    parameter for the object. The keys of `values` are the scene's parameters for the fields, each `name` + "_" + field.
     """
     changes: dict[str, Any] = {}
     factories = {f.name for f in fields(kind) if f.default_factory is not MISSING}

@@ -9,7 +9,7 @@ A file is YAML or JSON with up to two sections of parameters, both in SI units:
 A section `mix` may replace both sections. It describes the concrete by amounts with units, from which
 :mod:`warpcrete.mix` derives the parameters.
 
-The key `base` names another concrete, whose sections the values in this file complete or replace. The keys `source` and
+The key `base` names another concrete, whose values apply unless this file states other values. The keys `source` and
 `calibrated` say where the numbers come from.
 """
 
@@ -30,7 +30,7 @@ TEXTS = ("name", "source", "calibrated", "base")
 KEYS = (*TEXTS, *SECTIONS, "mix")
 OF_MIXES = ("parts", "slump", "spread", "t500", "density", "air", "volume", "sieve", "sizes", "shape", "aggregate",
             "water_binder", "layer")  # fmt: skip
-"""Entries of the section `mix` that users may write without this section."""
+"""Entries of the section `mix` that users sometimes write outside this section by mistake."""
 MAXIMUM_CHAIN = 10
 """Maximum number of concretes in a chain in which each one is the base of the next."""
 
@@ -75,7 +75,7 @@ def is_file(name: str) -> bool:
 
 
 def concrete(name: str) -> NamedConcrete:
-    """Return the concrete with a shipped name or from a file.
+    """Return the concrete called `name`: one that comes with the package, or one from the file at this path.
 
     Raises :class:`SceneError` if there is no such concrete, or if its file has errors.
     """
@@ -151,7 +151,7 @@ def _base(name: str, path: Path, depth: int) -> NamedConcrete:
 
 
 def known_only(section: str, values: Mapping[str, object], known: Collection[str], name: str) -> dict[str, Any]:
-    """Return the values of a section of the concrete `name`; refuse a value whose key is not in `known`."""
+    """Return the `values` of a section of the concrete `name` after checking that all their keys are in `known`."""
     for key in values:
         if key not in known:
             refuse(f"concrete {section}", key, f"is an unknown parameter (in {name})", known_names(key, known))

@@ -1,4 +1,4 @@
-"""Amounts as text in metric units, followed by customary US units for users who describe their work in these."""
+"""Amounts as text in metric units, followed by customary US units if the user's inputs have such units."""
 
 from collections.abc import Sequence
 
@@ -13,19 +13,19 @@ METRIC_SIZES = {"mm": (1e-3, "in"), "m": (1.0, "ft"), "kg/m3": (1.0, "lb/yd3"), 
 
 
 def beside(shown: bool, unit: str, *values: float, digits: int = 4) -> str:
-    """Return one value, or two as a range, in a customary US unit and in parentheses, to follow the metric amount.
+    """Return an addition to a metric amount, such as " (5 in)" or " (5 to 6 in)"; empty if `shown` is false.
 
-    `unit` is a key of :data:`CUSTOMARY_SIZES`, the values are in SI units, and the numbers have `digits` significant
-    digits. If `shown` is false, the text is empty.
+    `values` are one value, or the two ends of a range, in SI units. The customary US unit `unit` is a key of
+    :data:`CUSTOMARY_SIZES`, and the numbers have `digits` significant digits.
     """
     return f" ({_span(values, CUSTOMARY_SIZES[unit], digits)} {unit})" if shown else ""
 
 
 def both(customary: bool, unit: str, *values: float, digits: int = 4) -> str:
-    """Return one value, or two as a range, in the metric `unit`, and also in US units if `customary` is true.
+    """Return an amount such as "127 mm", or "127 mm (5 in)" if `customary` is true.
 
-    `unit` is a key of :data:`METRIC_SIZES`, the values are in SI units, and the numbers have `digits` significant
-    digits.
+    `values` are one value, or the two ends of a range, in SI units. The metric unit `unit` is a key of
+    :data:`METRIC_SIZES`, and the numbers have `digits` significant digits.
     """
     size, other = METRIC_SIZES[unit]
     return f"{_span(values, size, digits)} {unit}{beside(customary, other, *values, digits=digits)}"

@@ -1,4 +1,4 @@
-"""Help for the fields of data classes, made from the texts that stand below the fields in the source."""
+"""Help for the fields of data classes, made from the docstrings of the fields."""
 
 import ast
 import inspect
@@ -9,10 +9,10 @@ T = TypeVar("T", bound=type)
 
 
 def help_on_fields(documented: T) -> T:
-    """Append the meaning of each field to the docstring of a class, so that `help` shows it.
+    """Append the docstring of each field to the docstring of a class, so that `help` shows the meaning of all fields.
 
-    Python drops texts that stand below fields. This decorator reads them from the source and leaves the class as it is
-    if there is no source.
+    Python discards the docstrings of fields when it loads a class, so this decorator reads them from the source. If
+    there is no source, it leaves the class as it is.
     """
     try:
         (definition,) = ast.parse(textwrap.dedent(inspect.getsource(documented))).body

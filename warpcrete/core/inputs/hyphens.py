@@ -9,5 +9,5 @@ def hyphenated(name: str) -> str:
 
 
 def spelled(name: str, known: Iterable[str]) -> str:
-    """Return the one of the `known` names that `name` spells with hyphens instead of spaces, or else `name` itself."""
+    """Return the `known` name that equals `name` apart from hyphens and spaces, or `name` if there is no such name."""
     return {hyphenated(each): each for each in known}.get(hyphenated(name), name)

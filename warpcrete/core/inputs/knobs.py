@@ -14,13 +14,12 @@ class Level:
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """Values of the scene's parameters that this setting of the accuracy parameter (knob) changes, by name."""
     cost: float = 1.0
-    """Expected wall time of a run at this level, on a scale that all levels of the same knob share. A level is one
-    setting of the accuracy parameter (the knob). The expected time is used only for planning, before wall times are
-    measured."""
+    """Expected wall time of a run with this setting, relative to the other settings of the same accuracy parameter
+    (knob). It is used only for planning, before wall times are measured."""
     key: str = ""
-    """Name that this level of a knob has in all scenes. A knob is a parameter that trades accuracy for run time. For
-    example, half the element size has the key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If
-    the key is empty, `label` is the key."""
+    """Name of this setting of the accuracy parameter (knob) that is the same in all scenes. For example, half the
+    element size has the key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If the key is empty,
+    `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Conversions of result quantities, by the quantity's name. A result of a run with this setting of the accuracy
     parameter may need a conversion before it is comparable with results of the user's scene. For example, a pipe of
@@ -43,8 +42,8 @@ class Knob:
     """True if the program may change this accuracy parameter (knob) in the settings that it recommends. If False, its
     effect is only measured."""
     resolution: bool = False
-    """True if this accuracy parameter (knob) is a width of cells or a distance of particles. Results then approach a
-    limit as it becomes smaller."""
+    """True if this accuracy parameter (knob) is a cell width or a particle spacing. Results then converge to a limit as
+    it becomes smaller."""
 
     def level_of(self, key: str) -> Level | None:
         """Return the setting (level) of this accuracy parameter (knob) with the key `key`, or None if it is missing."""
@@ -55,11 +54,10 @@ def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
     physical: bool = False, resolution: bool = False,
 ) -> Knob:  # fmt: skip
-    """Return a knob that changes one number, the parameter `parameter` of a scene.
+    """Return a knob (accuracy parameter) for the numeric scene parameter `parameter`, whose chosen value is `value`.
 
-    A knob trades accuracy for computing time, and its settings are called levels. At each level, the number is `value`
-    times one of `factors`, from the coarsest to the finest level. The expected wall time at a level is proportional to
-    its factor to the power of `power`.
+    At each setting (level) of the knob, the parameter is `value` times one of `factors`, from the coarsest to the
+    finest setting. The expected wall time at a setting is proportional to its factor to the power of `power`.
     """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
     return Knob(name, tuple(levels), physical, resolution=resolution)
@@ -76,8 +74,9 @@ def precisions() -> Knob:
 class Trading:
     """Description of a scene for studies that weigh accuracy against computing time.
 
-    It contains the knobs (accuracy parameters with their values), the quantities to compare, and a function that tells
-    whether theory is exact. The module of the scene assigns this object to the name `trading`.
+    It contains the knobs (accuracy parameters with their settings), the quantities to compare, and a function that
+    returns whether the scene has an exact closed-form solution. The module of the scene assigns this object to the name
+    `trading`.
     """
 
     knobs: Callable[[Any], Iterator[Knob]]
@@ -86,8 +85,8 @@ class Trading:
     """Names of result quantities. Unless the user names others, a study computes their errors for each setting of the
     accuracy parameters."""
     closed_form: Callable[[Any], bool] = lambda given: False
-    """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so, the
-    results of a run contain the error of each quantity NAME, under `NAME_error`."""
+    """Function that takes the scene's parameters and returns whether a closed-form solution is exact for them. If so,
+    the results of a run contain the error of each quantity NAME, under `NAME_error`."""
     variants: Callable[[Any], Mapping[str, Mapping[str, object]]] = lambda given: {}
     """Function that takes the scene's parameters and returns changed parameters for each of several similar scenes. The
     key of each entry describes the change in words. Recommended settings are also tested on these scenes."""

@@ -21,7 +21,7 @@ class Limit:
     low: float
     high: float
     why: str
-    """Reason for the limits, which an error or a warning about a value outside them states."""
+    """Reason for the limits. Errors and warnings about a value outside the limits contain this text."""
     usual: tuple[float, float] | None = None
     """Lower and upper end of the usual magnitudes; a value outside this range causes a warning."""
     unit: str = ""
@@ -101,8 +101,8 @@ FASTEST = 10.0
 def limit_of(name: str, unit: str) -> Limit | None:
     """Return the limits of a quantity, or None if it has none.
 
-    If the limits listed under the quantity's `name` are in the unit `unit`, return these limits. Otherwise return the
-    limits listed under the unit, which hold for all quantities with this unit.
+    The limits listed in :data:`LIMITS` under the quantity's `name` take precedence if they are in the unit `unit`.
+    Otherwise, return the limits listed under the unit, which hold for all quantities with this unit.
     """
     unit = "" if unit in ("1", "m3/m3") else unit
     named = LIMITS.get(name)
@@ -132,10 +132,10 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
 
 
 def check_whole(field: str, value: int) -> None:
-    """Refuse an integer that is too large for a counter or for the seed of random numbers."""
+    """Refuse an integer whose magnitude is too large for a counter or for the seed of random numbers."""
     most = LARGEST_SEED if field == "seed" else LARGEST_INTEGER
     if abs(value) > most:
-        refuse(field, value, f"must be at most {most}")
+        refuse(field, value, f"must be from {-most} to {most}" if value < 0 else f"must be at most {most}")
 
 
 def check_velocity(field: str, value: float, velocity: float) -> None:
@@ -159,7 +159,7 @@ def warn(text: str) -> None:
 def _meant(value: float, unit: str, limit: Limit) -> str:
     """Return a question such as "did you mean 5 cm or 5 in?", with units in which the number would be usual.
 
-    Name the first such unit, and the first customary US unit. Return an empty text if there is no such unit.
+    The question names at most one metric and one customary US unit. It is empty if the number is usual in no unit.
     """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:

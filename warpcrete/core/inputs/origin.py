@@ -41,7 +41,7 @@ def files_read() -> Generator[dict[str, str]]:
 
 
 def note_file(path: Path) -> None:
-    """Add an input file to the files that the enclosing :func:`files_read` block collects.
+    """Add the input file at `path` to the files that the enclosing :func:`files_read` block collects.
 
     Files of this package are left out, because the package's version identifies their content.
     """
@@ -133,7 +133,7 @@ def arguments_of(scene: Any) -> Mapping[str, Any]:
 
 
 def check_named(scene: Any) -> None:
-    """Refuse a scene with an object, such as a contact law, that other processes cannot make from its class name."""
+    """Refuse a scene with an object, such as a contact law, that other processes cannot create from its class name."""
     made = scene.parameters
     hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
     for name in (*made.unwritable, *hidden):

@@ -74,10 +74,10 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Needs:
-    """Rule for a parameter that has a meaning only if the value of another parameter passes a test.
+    """Rule for a parameter that has an effect only if the value of another parameter passes a test.
 
     The other parameter is `field`, and `test` is a function of its value. If `others` names further parameters, it is
-    enough that one of all these parameters passes the test.
+    enough that `field` or one of `others` passes the test.
     """
 
     field: str
@@ -117,7 +117,7 @@ class FileIf:
 
 @dataclass(frozen=True)
 class Suggests:
-    """Rule that lists usual values of a text, which shells complete; every other value remains allowed."""
+    """Rule with suggestions for a text parameter, which shells offer as completions; other values are also allowed."""
 
     values: Callable[[], Iterable[str]]
     files: bool = False
@@ -144,15 +144,15 @@ class CompositeRule:
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
-        """Return a copy of the parameters `values` with an object as the value of `field`.
+        """Return a copy of the parameters `values` in which the value of `field` is an object.
 
-        In `values`, the value may be the name of a class. The object is made from this name and from the parameters
-        that belong to the object, which are missing in the copy.
+        In `values`, the value may be the name of a class. The object is then made from this name and from its own
+        parameters in `values`; the copy does not contain these parameters.
         """
         raise NotImplementedError
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
-        """Return numbers and texts, by name of the parameter, that describe the object `value` of `field`.
+        """Return parameters (numbers and texts, by name) that describe the object `value` of `field`.
 
         The second result is True if `with_objects` makes an equal object from these parameters.
         """
@@ -172,7 +172,7 @@ class Field:
     default: Any
     """Default value of the parameter; `dataclasses.MISSING` if the parameter is required."""
     group: str
-    """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
+    """Heading under which help texts list the parameter: the first line of the docstring of the declaring class."""
     common: bool = True
     """True if the short help of the command shows the parameter."""
 
@@ -184,8 +184,7 @@ class Field:
 
     @property
     def units(self) -> str:
-        """Unit in which the program computes with the field, in the form that :func:`amount` requires; "1" for a
-        ratio."""
+        """Internal unit of the parameter, as :func:`amount` requires it; "1" for a ratio."""
         return self.unit.strip() or "1"
 
     @property
@@ -293,7 +292,7 @@ class Declared:
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
         """Return the section of a concrete's file that can set fields of this dataclass, and the names of these fields.
 
-        Both are empty for a dataclass whose fields a concrete's file cannot set.
+        Both are empty if a concrete's file sets no field of this dataclass.
         """
         return "", ()
 
@@ -305,7 +304,7 @@ class Declared:
     def check_needed(self) -> None:
         """Raise :class:`SceneError` if a parameter differs from its default although it has no effect.
 
-        Give a warning instead where the rule of the parameter says so.
+        If the rule of the parameter has `refused` = False, give a warning instead.
         """
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):

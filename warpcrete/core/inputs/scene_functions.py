@@ -21,7 +21,7 @@ S = TypeVar("S")
 
 
 def _listed(fields: Iterable[Field]) -> str:
-    """Return the text about parameters for `help()`, by group, with type, default, help text and unit of each."""
+    """Return the text about parameters for `help()`: by group, each with its type, default, help text and unit."""
     lines: list[str] = []
     group = ""
     for field in fields:
@@ -34,7 +34,7 @@ def _listed(fields: Iterable[Field]) -> str:
 
 
 def _kind_of(field: Field) -> str:
-    """Return type and default of a parameter in words, such as "a number, default 0.15 m"."""
+    """Return the type and the default of a parameter in words, such as "a number, default 0.15 m"."""
     kind = WORDS.get(field.kind, f"a name or an object of {field.kind.__name__}")
     if field.default is dataclasses.MISSING:
         return f"{kind}, required"
@@ -128,7 +128,7 @@ class SceneFunction(Generic[P, S]):
             ) from error
 
     def _elsewhere(self, name: str) -> str:
-        """Return a hint if a discrete-element scene of the same test has the parameter `name`; else an empty text."""
+        """Return a hint if the same test by discrete elements has the parameter `name`; otherwise an empty text."""
         package = sys.modules.get(self._build.__module__.rpartition(".")[0])
         other = getattr(package, f"{self.__name__}_dem", None)
         if isinstance(other, SceneFunction) and (name == "method" or name in declared_fields(other.parameters)):
@@ -167,7 +167,7 @@ class SceneFunction(Generic[P, S]):
         return known
 
     def with_objects(self, values: Mapping[str, object]) -> dict[str, Any]:
-        """Return parameters with an object, such as a contact law, in place of its name and its own parameters.
+        """Return the parameters with an object, such as a contact law, in place of its class name and its parameters.
 
         Raises :class:`SceneError` for a parameter, such as `contact_FIELD`, that this object does not have.
         """
@@ -185,7 +185,7 @@ class SceneFunction(Generic[P, S]):
         return found
 
     def plain(self, scene: Any, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the arguments with which a scene was made, without parameters that were left at their defaults."""
+        """Return the arguments with which `scene` was made, without parameters that the user left at their defaults."""
         names = self.completed(given)
         declared = declared_fields(self.parameters)
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
@@ -249,10 +249,10 @@ def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[st
 
 
 def scene_function(parameters: Callable[P, T]) -> Callable[[Callable[[T], S]], SceneFunction[P, S]]:
-    """Return a decorator that turns a function of one :class:`Declared` dataclass into a function of its fields.
+    """Return a decorator for functions whose only argument is an object of the dataclass `parameters`.
 
-    The resulting :class:`SceneFunction` takes the fields as keywords and has the dataclass as attribute `parameters`.
-    It refuses values that have the wrong type, are out of range or have no effect.
+    The decorated function is a :class:`SceneFunction`, which takes the fields of the dataclass as keywords. It refuses
+    values that have the wrong type, are out of range or have no effect.
     """
 
     def decorate(build: Callable[[T], S]) -> SceneFunction[P, S]:

@@ -49,9 +49,9 @@ def errors_located_at(container: Any, key: Any) -> Generator[None]:
 
 
 def check_file(path: Path | str, field: str, most: int = MAXIMUM_MESH_SIZE, hint: str = "") -> Path:
-    """Return `path` if it is a regular file of at most `most` bytes.
+    """Return the path of a file after checking that it is a regular file of at most `most` bytes.
 
-    For any other path, raise :class:`SceneError` about the parameter `field`.
+    Raises :class:`SceneError` about the parameter `field` for any other path.
     """
     try:
         _checked(Path(path), most)
@@ -94,8 +94,8 @@ def read_mapping(path: Path, field: str) -> dict[str, Any]:
 def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Return the header of a CSV file, and each non-empty row with its line number.
 
-    Raises :class:`SceneError` about the parameter `field` if rows and header differ in length, or if a column appears
-    twice.
+    Raises :class:`SceneError` about the parameter `field` if the file cannot be read, if rows and header differ in
+    length, or if a column appears twice.
     """
     try:
         rows = _rows(_text(path, MAXIMUM_TEXT_SIZE))
@@ -106,9 +106,9 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
 
 
 def read_columns(path: Path, field: str) -> tuple[dict[str, tuple[int, str]], list[tuple[int, list[str]]]]:
-    """Return index and unit of each column of a CSV file by name, and the rows as :func:`read_rows` returns them.
+    """Return the index and the unit of each column of a CSV file by name, and the rows as from :func:`read_rows`.
 
-    The header names columns with their units, such as `flow [m3/h],pressure [bar]`, in capital or small letters, with
+    The header contains names and units, such as `flow [m3/h],pressure [bar]`, in capital or small letters and with
     brackets or parentheses. Columns whose headings have another form are left out.
     """
     header, rows = read_rows(path, field)

@@ -52,7 +52,7 @@ class FileList(list[Any]):
 
 
 class Unreadable(Exception):
-    """Error raised for a file that cannot be read, with the reason and a hint."""
+    """Error: a file cannot be read. The attributes are the reason, with the line number if known, and a hint."""
 
     def __init__(self, reason: str, hint: str = "", line: int | None = None) -> None:
         super().__init__(reason)
@@ -61,9 +61,9 @@ class Unreadable(Exception):
 
 
 class UntaggedResolver(VersionedResolver):
-    """YAML resolver that gives plain scalars the tag `PLAIN_TAG`, whatever YAML version a file states.
+    """YAML resolver that gives scalars without quotes and tags the tag `PLAIN_TAG`, in all versions of YAML.
 
-    This module then determines the types of these scalars itself.
+    The parser therefore does not interpret them, and this module determines their types.
     """
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
@@ -113,9 +113,9 @@ def parsed_yaml(text: str, path: Path) -> object:
 
 
 def _without_trailing_tabs(text: str) -> str:
-    """Return a text without blanks at the ends of lines if it has tabs; YAML allows such tabs, but the parser does not.
+    """Remove blanks from the ends of lines if the text has tabs; YAML allows tabs there, but the parser does not.
 
-    This also changes texts of several lines, in which blanks at the ends of lines mean nothing to this program.
+    Values of several lines also lose these blanks, which have no meaning for this program.
     """
     return TRAILING_BLANKS.sub("", text) if "\t" in text else text
 

@@ -36,12 +36,12 @@ class RunRecord(TypedDict):
 
 
 def write_partial(path: Path, scene: object, device: wp.Device, precision: str, contents: Mapping[str, object]) -> None:
-    """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` puts it in place.
+    """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` moves it to `path`.
 
     `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
     digest of its contents. The previous checkpoint stays at `path` until `commit`. If a recorder fails to write its
-    part, the run can therefore go on from the previous state, for which all recorders have written their data. Raises
-    :class:`RunFolderError` if the file cannot be written.
+    data in the meantime, the run can therefore go on from the previous checkpoint, for which all recorders have written
+    their data. Raises :class:`RunFolderError` if the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
     text = {
@@ -70,7 +70,7 @@ def write_partial(path: Path, scene: object, device: wp.Device, precision: str, 
 def commit(path: Path) -> None:
     """Replace the checkpoint at `path` by the partial file that :func:`write_partial` wrote.
 
-    Raises :class:`RunFolderError` if the system refuses this.
+    Raises :class:`RunFolderError` if the system does not allow the replacement.
     """
     try:
         partial_of(path).replace(path)
@@ -85,10 +85,11 @@ def discard(path: Path) -> None:
 
 
 def read(path: Path, scene: object, device: wp.Device, precision: str) -> dict[str, Any]:
-    """Return the contents of a checkpoint of the same scene, kind of device, precision and package versions.
+    """Return the contents of the checkpoint at `path`, which must match the other arguments and the package versions.
 
-    Raises :class:`RunFolderError` with the reason if the file is missing, damaged or belongs to another run. A
-    different processor only causes a warning, because results may then differ in the last bits.
+    Of `device`, only the kind (CPU or GPU) must match. Raises :class:`RunFolderError` with the reason if the file is
+    missing, damaged or does not match. A different processor only causes a warning, because results may then differ in
+    the last bits.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -133,7 +134,7 @@ def read(path: Path, scene: object, device: wp.Device, precision: str) -> dict[s
 
 
 def remove(path: Path) -> None:
-    """Remove a checkpoint, and the partial file that an interrupted write may have left."""
+    """Remove the checkpoint at `path`, and the partial file that an interrupted write may have left."""
     path.unlink(missing_ok=True)
     discard(path)
 
@@ -155,7 +156,7 @@ def _digest(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> object:
-    """Return `value` as JSON data, in which each array is replaced by a name, and store the arrays in `arrays`.
+    """Return `value` as JSON data that contains the names of arrays, and store the arrays in `arrays` by name.
 
     The name of an array is `name`, followed by the keys that lead to the array.
     """

@@ -44,7 +44,7 @@ class CheckpointedSimulation(SimulationBase):
         checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
 
     def _contents(self, recorders: dict[str, object], over: bool) -> dict[str, Any]:
-        """Return the present state with the data about the run, as a checkpoint stores them."""
+        """Return the contents of a checkpoint: the present state and the data about the run."""
         run: RunRecord = {
             "recorders": recorders,
             "next_frame": self.frames.next,

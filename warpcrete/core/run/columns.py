@@ -1,4 +1,4 @@
-"""Columns of a table of numbers, which are printed as a summary: the unit, ends and range of each column."""
+"""Columns of a table of numbers, which print as a summary: unit, first, last, smallest and largest value of each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ HEAD = ("column", "unit", "first", "last", "smallest", "largest")
 
 
 class Columns(dict[str, np.ndarray]):
-    """Columns of equal length by name, as arrays. Printing them shows a summary, with one line for each column."""
+    """Columns of equal length by name, as arrays. `print` shows a summary with one line for each column."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class Columns(dict[str, np.ndarray]):
     ) -> None:
         """Create a copy of `columns` with their `units`; `row` names one row in the summary, such as "sample".
 
-        `dataclasses.asdict` copies a mapping from its items alone, and such a copy has no units.
+        The defaults exist for `dataclasses.asdict`, which creates a copy from the items alone, without units.
         """
         super().__init__(columns)
         self._units, self._row = units, row
@@ -56,7 +56,10 @@ class Columns(dict[str, np.ndarray]):
 
 
 def _numbers(values: np.ndarray) -> tuple[str, ...]:
-    """Return the first, last, smallest and largest value as texts; the range leaves out values that are not known."""
+    """Return the first, last, smallest and largest value as texts.
+
+    The smallest and the largest value leave out NaN and infinity; for values other than numbers, they are empty.
+    """
     if not len(values):
         return ("",) * 4
     if values.dtype.kind not in "fiu":

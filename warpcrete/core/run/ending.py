@@ -46,7 +46,7 @@ class Ending:
 
     @classmethod
     def of(cls, result: Mapping[str, Any]) -> Ending | None:
-        """Return the ending that the contents of a result.json state, or None if they state none."""
+        """Return the ending stored in the contents of a result.json, or None if it has no such entry."""
         entry = result.get("ended")
         if not is_dict(entry):
             return None
@@ -54,7 +54,10 @@ class Ending:
 
 
 def failure(error: BaseException, time: float) -> Ending:
-    """Return the ending of a run that an `error` or an interruption ended at the simulated time `time` [s]."""
+    """Return the ending for a run that was stopped by `error`, which may be an interruption.
+
+    `time` is the simulated time [s] at which the run ended.
+    """
     if not isinstance(error, Exception):
         return interruption(time)
     if isinstance(error, ConvergenceError):

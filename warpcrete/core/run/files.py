@@ -25,7 +25,7 @@ SPACE_MARGIN = 1 << 20
 
 @contextmanager
 def atomic_file(path: Path) -> Generator[Path]:
-    """Yield a temporary path next to `path`, whose file replaces `path` at the end of the `with` block.
+    """Yield a temporary path next to `path`; at the end of the `with` block, the file there replaces `path`.
 
     If the block fails, the temporary file is removed. An error of the operating system becomes a
     :class:`RunFolderError` that names the file.
@@ -47,10 +47,9 @@ def partial_of(path: Path) -> Path:
 
 
 def cannot_write(path: Path, error: Exception) -> RunFolderError:
-    """Return the error for a file that cannot be written; a :class:`DiskFullError` if there is no space for it.
+    """Return the error to raise for a file that cannot be written; a :class:`DiskFullError` if there is no space.
 
-    Libraries that write files themselves may not report why they failed. A test file then shows whether the folder has
-    free space.
+    If `error` comes from a library that does not report the cause, a test file shows whether the folder has free space.
     """
     known = isinstance(error, OSError) and error.errno is not None
     needed = SPACE_MARGIN + (2 * path.stat().st_size if path.exists() else 0)
@@ -77,10 +76,7 @@ def space_error(folder: Path, needed: int = 0) -> OSError | None:
 
 
 def write_json(path: Path, data: object) -> None:
-    """Write JSON to a file; a reader never sees half a file.
-
-    NaN and infinity become null.
-    """
+    """Write `data` as JSON to a file, which other processes never see incomplete. NaN and infinity become null."""
     with atomic_file(path) as partial:
         partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -150,9 +146,9 @@ def folder_path(field: str, value: object) -> Path:
 
 
 def check_new(folder: Path) -> None:
-    """Refuse an output folder that is not empty, or that cannot be created and written to.
+    """Raise :class:`RunFolderError` for an output folder that is not empty, or cannot be created or written to.
 
-    The check creates the folder for a moment and leaves nothing behind. Raises :class:`RunFolderError`.
+    The check creates the folder for a moment, with a test file in it, and removes both.
     """
     try:
         existing = folder.exists() or folder.is_symlink()

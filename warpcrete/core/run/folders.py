@@ -29,8 +29,8 @@ be able to read the owner's name in the file, so the byte lies beyond the end of
 class FolderLock:
     """Exclusive right to write into a folder, until it is released or the process ends.
 
-    Readers need no lock. The lock belongs to the open lock file: a copy of the folder is not locked, and the lock file
-    that a killed process leaves behind blocks nobody.
+    Readers need no lock. The system holds the lock as long as the lock file is open. A copy of the folder is therefore
+    not locked, and the lock file that a killed process leaves behind locks nothing.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -164,9 +164,9 @@ def make_folder(folder: Path) -> FolderLock:
 
 @contextmanager
 def new_folder(folder: Path) -> Generator[None]:
-    """Create a new folder, and hold its lock inside the `with` block.
+    """Create a new folder with its parents, and hold its lock inside the `with` block.
 
-    After the block, remove those of the created folders that are still empty.
+    After the block, remove the folders among them that are still empty.
     """
     hold = make_folder(folder)
     try:

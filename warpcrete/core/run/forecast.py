@@ -15,7 +15,7 @@ operation."""
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected cost of simulating one scene on one device; times in seconds, memory in bytes."""
+    """Expected time and memory for the simulation of one scene on one device."""
 
     method: str
     device: str
@@ -30,8 +30,8 @@ class Forecast:
     limits: Mapping[str, float]
     """Largest time step that each limiting effect alone would allow [s], by the name of the effect."""
     governing: str
-    """Text that states why the time step is not longer: the physical effect that limits it, or the parameter that was
-    chosen."""
+    """Text that states why the time step is not longer: the name of the physical effect that limits it, or the
+    parameter with which the user chose it."""
     steps: float
     parts: Mapping[str, float]
     """Expected wall time of each part of the run's work [s], by the name of the part; recordings are not included."""
@@ -62,6 +62,6 @@ def timed(call: Callable[[], Found], device: wp.Device) -> tuple[Found, float]:
 
 
 def median_time(call: Callable[[], object], device: wp.Device, repeats: int = 3) -> float:
-    """Return the median wall time of a call [s]; a first call, which may load kernels, is not counted."""
+    """Return the median wall time of `repeats` calls [s]; a first call, which may load kernels, is not counted."""
     call()
     return sorted(timed(call, device)[1] for _ in range(repeats))[(repeats - 1) // 2]

@@ -10,12 +10,12 @@ frame interval."""
 
 
 class Frames:
-    """Schedule of frames: every `interval` seconds of simulated time, or by default at least 25 per second.
+    """Schedule of frames (pictures of the state): one every `interval` seconds of simulated time.
 
-    With the default, a run of the `expected` duration [s] has at least 30 frames; in a run that lasts longer than
-    expected, the time between frames grows. A frame is taken at the first sample (row of the time series) after the
-    frame is due. If `step` is finite, it is the constant time step [s], and the run also stops between samples to take
-    frames. Two frames are then at least one time step apart.
+    If `interval` is None, there are at least 25 frames per second, and at least 30 frames in a run of the `expected`
+    duration [s]. A frame is taken at the first sample (row of the time series) after the frame is due. If `step` is
+    finite, it is the constant time step [s], and the run also stops between samples to take frames. Two frames are then
+    at least one time step apart.
     """
 
     def __init__(self, interval: float | None, expected: float, step: float = np.inf) -> None:
@@ -36,11 +36,10 @@ class Frames:
         return time >= self.next - 1e-9
 
     def due_before(self, sample: float) -> bool:
-        """Return whether the run should stop to record a frame before the time `sample` of the next sample [s].
+        """Return whether the run should stop for a frame (picture of the state) before its next sample.
 
-        A frame is a picture of the state, and a sample is a new row of the time series. The run should stop if the next
-        frame is due more than one time step before the sample. A run that can only stop at samples never stops for a
-        frame.
+        `sample` is the time [s] of that sample, the next row of the time series. The run should stop if the frame is
+        due more than one time step earlier. A run whose time step is not constant never stops between samples.
         """
         return self.next < sample - self._time_step
 

@@ -44,7 +44,8 @@ class Quantity:
     meaning: str = ""
     """Meaning of the quantity for the reference pages: a sentence without a full stop at its end."""
     only_if: str = ""
-    """Condition under which a run has the quantity, as the end of a sentence; empty if there is no simple condition."""
+    """Condition under which a run has the quantity, as the rest of a sentence that begins with "only if"; empty if
+    there is no simple condition."""
 
     @property
     def title(self) -> str:
@@ -55,8 +56,8 @@ class Quantity:
 def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float | Quantified]:
     """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as numbers.
 
-    `known` is the simulation method's data about a run, from which the function `of` of each quantity computes the
-    quantity's value.
+    `known` is the simulation method's data about a run. The attribute `of` of each quantity is the function that
+    computes its value from these data.
     """
     found: dict[str, float | Quantified] = {}
     for each in quantities:
@@ -69,8 +70,8 @@ def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float
 def passage_time(series: Mapping[str, np.ndarray], name: str, value: float, falls: bool = False) -> float | None:
     """Return the time [s] at which a column of a time series first reaches `value`, by linear interpolation.
 
-    With `falls` the column must fall to the value instead of rising to it. The result is None if the column never
-    reaches the value, or is at or beyond it from the start.
+    The column must rise to the value, or fall to it if `falls` is true. The result is None if the column never reaches
+    the value, or is at or beyond it from the start.
     """
     time, column = series["time"], series[name]
     if falls:
@@ -84,7 +85,7 @@ def passage_time(series: Mapping[str, np.ndarray], name: str, value: float, fall
 
 
 def report_of(quantities: Sequence[Quantity], run: Run) -> Iterator[tuple[str, str]]:
-    """Yield a label and a text for each line of a run's report: one line for every quantity that has a label."""
+    """Yield the lines of a run's report as pairs (label, text), one for each quantity that has a label."""
     for each in quantities:
         if each.label and each.name in run.result:
             factor, unit = shown(each.unit)
@@ -110,8 +111,8 @@ class Method:
     report: Callable[[Run], Iterator[tuple[str, str]]]
     """Function that takes a run and yields (label, text) for each line that the command prints after the quantities."""
     forecast: Callable[[Any, wp.Device, str, int | None, Probe], Forecast]
-    """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. `probe`
-    measures times of a prepared simulation."""
+    """Function that takes (scene, device, precision, threads, probe) and returns the expected time and memory of a run.
+    `probe` is a function that times the operations of a prepared simulation."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or
     an error for each simulation."""
@@ -135,8 +136,8 @@ class Method:
     def drawn(self, simulation: Simulation, run: Run, colouring: str | None) -> Figure | None:
         """Return the picture for a run folder; None if there is nothing to draw.
 
-        Without a function `draw`, there is nothing to draw of a run that has only its initial row. `colouring` is the
-        quantity that colours the bodies.
+        The method's function `draw` draws the picture, with bodies coloured by the quantity `colouring`. If the method
+        has no such function, the result is the figure for notebooks, or None for a run with only its initial row.
         """
         if self.draw is not None:
             return self.draw(simulation, run, colouring)
@@ -151,7 +152,7 @@ class Method:
     def quantities(self) -> tuple[Quantity, ...]:
         """All quantities that runs of this simulation method may have.
 
-        The list is made anew at each access, because a user may have added standard tests with quantities of their own.
+        Each access creates a new list, because users may add standard tests with quantities of their own meanwhile.
         """
         return self.list_quantities()
 

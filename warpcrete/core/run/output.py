@@ -1,8 +1,7 @@
 """Interface between the run loop and the folder that a run writes.
 
-The package `record`, which imports `core`, implements the interface and registers its class here. The run loop uses
-this class if the user states a folder as a path. The package `record` also registers the recorders of runs without a
-folder.
+The package `record` implements the interface. It imports `core`, so `core` cannot import it. Instead, it registers two
+functions here: one makes the run folder from a path, and the other makes the recorders of a run without a folder.
 """
 
 from collections.abc import Callable, Sequence

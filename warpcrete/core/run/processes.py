@@ -14,9 +14,9 @@ process when the parent process ends."""
 
 
 def killed_with_parent(command: list[str]) -> list[str]:
-    """Return a command that runs `command` and is killed when this process ends for any reason.
+    """Return a command line that runs `command`, and whose process the system kills when this process ends.
 
-    This works on Linux; on other systems, return `command` unchanged.
+    This works only on Linux. On other systems, return `command` unchanged.
     """
     if sys.platform != "linux":
         return command

@@ -28,7 +28,7 @@ while), the fraction done, and a few current values by name, such as the pressur
 
 @contextmanager
 def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
-    """Yield a progress bar as a callback, or None if `quiet`, and close the bar at the end of the `with` block."""
+    """Yield a callback that shows a progress bar, or None if `quiet`; close the bar at the end of the `with` block."""
     bar = ProgressBar()
     try:
         yield None if quiet else bar
@@ -38,12 +38,12 @@ def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
 
 @dataclass
 class _Phase:
-    """State of the display of one phase; all times are readings of the wall clock [s]."""
+    """State of the progress display for one phase of a run; all times are readings of the wall clock [s]."""
 
     name: str
     first: float
-    """Fraction of the phase that was done at its start. A resumed run begins at the fraction that an earlier process
-    has done."""
+    """Fraction of the phase that was done when the display began. It is above 0 in a resumed run, because an earlier
+    process did a part of the phase."""
     start: float
     shown: float
     """Time of the last line, or of the last update of the progress bar."""
@@ -57,7 +57,7 @@ class _Phase:
         return cls(name, fraction, now, now, now, fraction)
 
     def skip_pause(self, now: float) -> None:
-        """Leave out the time since the last call, in which kernels were compiled."""
+        """Do not count the time since the last call, in which kernels were compiled, as time of this phase."""
         pause = now - self.called
         self.start, self.shown = self.start + pause, self.shown + pause
 
@@ -77,7 +77,7 @@ class ProgressBar:
         self._as_lines = not (stderr_is_terminal() or _in_notebook())
 
     def __call__(self, phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
-        """Show the fraction of a phase, such as packing, that is done, and current figures such as the pressure."""
+        """Show which fraction of a phase, such as packing, is done, and the current `figures`, such as the pressure."""
         now, fraction = time.monotonic(), min(fraction, 1.0)
         shown = self._phase
         if shown is None or phase != shown.name:
@@ -89,7 +89,7 @@ class ProgressBar:
             self._draw(shown, now, fraction, figures)
 
     def _begin_phase(self, name: str, fraction: float, now: float) -> _Phase:
-        """Begin a phase, or continue the phase that compiling has interrupted, without the time of compiling."""
+        """Begin a phase, or continue the phase that compiling has interrupted; its time does not include compiling."""
         before, interrupted = self._phase, self._interrupted
         self.close()
         if name == "compiling" and before is not None:
@@ -166,7 +166,7 @@ def no_progress(phase: str, fraction: float, figures: Mapping[str, float] = Mapp
 
 
 def _texts(figures: Mapping[str, float]) -> dict[str, str]:
-    """Return texts for a progress display, by name: the pressure and the steps per second, if `figures` has them."""
+    """Return the pressure and the steps per second as texts for a progress display, if `figures` contains them."""
     found: dict[str, str] = {}
     if "pressure" in figures:
         found["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"
@@ -181,7 +181,7 @@ def rate_text(rate: float) -> str:
 
 
 def _clock(seconds: float) -> str:
-    """Return a duration as minutes and seconds, with hours if there are any."""
+    """Return a duration as a text "minutes:seconds", or "hours:minutes:seconds" from one hour on."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes:02d}:{rest:02d}"

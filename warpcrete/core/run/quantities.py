@@ -16,20 +16,20 @@ _conditions: dict[type, Callable[[], Mapping[str, str]]] = {}
 
 
 def declare_conditions(scene_type: type, conditions: Callable[[], Mapping[str, str]]) -> None:
-    """Declare under which conditions runs of the scenes of a type have a quantity; see :func:`conditions_of`.
+    """Register the conditions under which runs have certain quantities, for all scenes of the type `scene_type`.
 
-    The function `conditions` is called whenever the conditions are needed, because a user may add standard tests with
-    quantities of their own.
+    The function `conditions` returns the conditions by the name of the quantity. It is called whenever they are needed,
+    because a user may add standard tests with quantities of their own.
     """
     _conditions[scene_type] = conditions
 
 
 def conditions_of(scene: object) -> Mapping[str, str]:
-    """Return the conditions under which runs of a scene have a quantity, by the quantity's name, for messages.
+    """Return the conditions under which runs of a scene have certain quantities, by the name of the quantity.
 
-    Each simulation method declares its own conditions, because quantities of several methods may have the same name.
-    The type of the scene may belong to no method, for example in a folder whose scene cannot be built again. The result
-    then contains the condition of a quantity only if all methods that have the quantity declare the same condition.
+    The conditions are sentences for messages. Each simulation method declares its own conditions, because quantities of
+    several methods may have the same name. If the type of the scene belongs to no method, for example because the scene
+    of a folder cannot be built again, the result contains only conditions on which all methods agree.
     """
     for kind in type(scene).__mro__:
         if kind in _conditions:
@@ -104,7 +104,7 @@ class Quantities(dict[str, float]):
 
 
 class Result(dict[str, Any]):
-    """Contents of a result.json; printing them shows one line for each value, with dots in names of nested entries."""
+    """Contents of a result.json; `print` shows one line for each value, with names such as "a.b" for nested entries."""
 
     def __repr__(self) -> str:
         texts = list(_entry_texts(self))
@@ -113,7 +113,7 @@ class Result(dict[str, Any]):
 
 
 def _entry_texts(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the name and the value of each entry as text; entries of a nested dictionary follow each other."""
+    """Yield the name and the value of each entry as texts; an entry of a nested dictionary has a name such as "a.b"."""
     for name, entry in entries.items():
         if not is_dict(entry):
             yield prefix + name, f"{entry:.6g}" if isinstance(entry, float) else str(entry)

@@ -41,7 +41,7 @@ class Recorder:
         """Record a frame, which is a picture of the state at this time."""
 
     def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
-        """Return the data from which the method `resume` can later go on recording at this time.
+        """Return the data that the method `resume` needs to go on recording from this time.
 
         The run stores this data in its checkpoint and then calls `write`. The checkpoint replaces the previous
         checkpoint only when all recorders have written their data.
@@ -59,7 +59,7 @@ class Recorder:
         """
 
     def tidy(self, simulation: SimulationBase, run: Run) -> None:
-        """Tidy up the files after a complete run: remove or join the files that only a resumed run would need."""
+        """Remove or join files that only a resumed run would need, because the run is complete."""
 
     def close(self, simulation: SimulationBase) -> None:
         """Release all resources, however the run ended."""

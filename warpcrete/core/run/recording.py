@@ -1,4 +1,4 @@
-"""Management of a run's recorders: calls to them, failures of single recorders, and errors of writing to disk."""
+"""Management of a run's recorders: it calls them, and handles failures of single recorders and full disks."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ class Recording:
     def states(self) -> dict[str, object]:
         """Return the data that each recorder needs to go on after a checkpoint, by the class name of the recorder.
 
-        For a recorder that failed and was dropped, the result contains the data of an earlier checkpoint, if any.
+        For a recorder that has failed and is no longer used, return its data from an earlier checkpoint, if any.
         """
         for recorder in list(self.active):
             self._states[class_name_of(recorder)] = self._call(recorder, "checkpoint")
@@ -121,7 +121,7 @@ def class_name_of(recorder: Recorder) -> str:
 
 
 def disk_full_error(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
-    """Return the error to raise after a full disk has ended a run, from the `errors` of the run's recorders.
+    """Return the error to raise for a run that a full disk has ended; it names all files in the `errors` of recorders.
 
     `kept` is the simulated time of the state on disk [s], or None if there is no state on disk.
     """

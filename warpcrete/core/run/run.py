@@ -56,8 +56,8 @@ class Run:
 
     scene: Any
     series: dict[str, np.ndarray]
-    """Columns of the run's time series by name, as arrays with one entry per sample. Printing the series shows the
-    unit, ends and range of each column."""
+    """Columns of the run's time series by name, as arrays with one entry per sample. `print` shows the unit and the
+    first, last, smallest and largest value of each column."""
     units: dict[str, str]
     """Unit of each column of the time series, by the column's name."""
     result: dict[str, Any]
@@ -69,7 +69,7 @@ class Run:
     tables: dict[str, Table] = field(default_factory=dict[str, Table])
     """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""
     final_state: FinalState | None = field(default=None, init=False, compare=False)
-    """Final state of a run without a folder; None for a run with a folder, or if the state takes much memory."""
+    """Final state of a run without a folder; None for a run with a folder, or if the state is too large to keep."""
 
     def __post_init__(self) -> None:
         self.series, self.result = Columns(self.series, self.units, "sample"), Result(self.result)
@@ -89,15 +89,15 @@ class Run:
     def __getitem__(self, name: str) -> float:
         """Return a quantity of the whole run in SI units, with its unit in the attribute `unit` if it has one.
 
-        Raises :class:`KeyError` if the run does not have the quantity. The message suggests similar names, and states
-        the condition under which runs have the quantity, if there is such a condition.
+        Raises :class:`KeyError` if the run does not have the quantity. The message suggests similar names. If only
+        some runs have the quantity, the message also states the condition.
         """
         quantities = self.quantities
         if name not in quantities:
             similar = difflib.get_close_matches(str(name), quantities, 3)
-            what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
+            what = f"; similar names are {', '.join(similar)}" if similar else f"; the run has {', '.join(quantities)}"
             if not quantities:
-                what = "; it has none, because it ended before its results were written"
+                what = "; the run has no quantities, because it ended before its results were written"
             if condition := conditions_of(self.scene).get(name):
                 what = f": runs have this quantity only if {condition}{what}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
@@ -122,7 +122,7 @@ class Run:
 
     @property
     def failed_checks(self) -> list[str]:
-        """Names of the checks that the run failed; its results are not trustworthy if there are any."""
+        """Names of the checks that the run failed; results of a run with a failed check are not trustworthy."""
         return [name for name, check in self.result.get("checks", {}).items() if not check["passed"]]
 
     @property
@@ -192,10 +192,10 @@ class Run:
     def save(self, folder: str | Path | RunOutput) -> Path:
         """Write the run into a new run folder, as `warpcrete run --out` does, and return the folder's path.
 
-        A run that has a folder is copied with the recordings that it has. For any other run, recordings hold all curves
-        but only the last frame; pass `out` to :class:`warpcrete.Simulation` to record every frame. The folder of a run
-        that stopped early, after a row of its time series, holds a checkpoint, with which `warpcrete run --resume`
-        continues it. If `folder` is a :class:`warpcrete.RunFolder`, it selects recordings and colours. Raises
+        If the run has a folder already, its files are copied. Otherwise the new recordings hold all curves, but only
+        the last frame; pass `out` to :class:`warpcrete.Simulation` to record every frame. If the run stopped early,
+        after a row of its time series, the folder also holds a checkpoint, with which `warpcrete run --resume`
+        continues the run. If `folder` is a :class:`warpcrete.RunFolder`, it selects recordings and colours. Raises
         :class:`RunFolderError` if the folder is not new or cannot be written, and :class:`WarpcreteError` if the run
         kept no state.
         """
@@ -251,10 +251,10 @@ class Run:
 
 
 def _copy_folder(source: Path, target: Path) -> None:
-    """Copy the files of a run folder into a new folder, while both folders are locked.
+    """Lock a run folder and a new folder, and copy the files of the run folder into the new one.
 
-    A source folder without write permission, such as an archive, is not locked. If a file cannot be copied, the files
-    that were copied already are removed.
+    A source folder without write permission, such as an archive, is not locked. If a file cannot be copied, the copies
+    made before are removed.
     """
     if not source.is_dir():
         raise RunFolderError(f"'{source}': is the folder of the run and no longer exists; restore it")

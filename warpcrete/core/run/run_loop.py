@@ -36,7 +36,7 @@ MAX_KEPT_MEMORY = 2e9
 
 
 class Simulation(CheckpointedSimulation):
-    """Simulation of a scene on a device, with recorders, from t = 0 to its end; the scene's type selects the method.
+    """Simulation of a scene on a device from t = 0 to its end; the scene's type selects the simulation method.
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
     `float64`; None takes the precision that the scene states. `threads` is the number of threads on a CPU; None takes
@@ -89,8 +89,8 @@ class Simulation(CheckpointedSimulation):
             positive("frame_interval", frame_interval, "s")
         if out is not None:
             self._use_folder(output_of(out))
-        # Recorders that every run without a folder has get no frames of their own, so they cost no time between
-        # samples.
+        # The run stops between samples for frames only if `recorders` is not empty, so these additional recorders of a
+        # run without a folder take no time between samples.
         self._more_recorders = [] if out is not None else list(recorders_without_folder(self))
         self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling
@@ -141,15 +141,15 @@ class Simulation(CheckpointedSimulation):
             raise
 
     def note_failure(self, error: BaseException) -> None:
-        """Note the `error` that ends the run before its first row, for the result in the run folder.
+        """Store the `error` that ends the run before its first row, for the result in the run folder.
 
-        Do not note an invalid scene or a folder that cannot be used, because no run has begun then.
+        Ignore an error about an invalid scene or an unusable folder, because no run has begun in that case.
         """
         if not isinstance(error, SceneError | RunFolderError):
             self.ending = failure(error, 0.0)
 
     def claim(self) -> None:
-        """Let the recorders, which write the run's output, take exclusive resources, such as the run folder."""
+        """Let all recorders, which write the run's output, take exclusive resources, such as the run folder."""
         for recorder in self.recorders:
             recorder.claim(self)
 
@@ -197,10 +197,10 @@ class Simulation(CheckpointedSimulation):
         print(text, file=sys.stderr, flush=True)
 
     def write_run(self, run: Run, contents: dict[str, Any]) -> None:
-        """Write the run folder of a `run` that has ended, from its state at the end, instead of running the scene.
+        """Write the run folder of the `run`, which has ended already, without simulating the scene again.
 
-        `contents` is what a checkpoint of this state contains. Recordings have all rows of the time series, but only
-        one frame, the last. The folder of an unfinished run also holds a checkpoint.
+        `contents` is the contents of a checkpoint of the run's final state. Recordings have all rows of the time
+        series, but only the last frame. The folder of an unfinished run also holds a checkpoint.
         """
         self._ended_run, self.stop_requested, self.resumes = run, not run.finished, True
         try:
@@ -260,11 +260,10 @@ class Simulation(CheckpointedSimulation):
         return run
 
     def _end(self, finished: bool, error: BaseException | None) -> Run:
-        """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
+        """Write everything to disk, and remove the checkpoint if nothing is missing; return the results.
 
-        `error` is the error or the interruption that ended the run at once, or None.
-
-        The order makes sure that no data are lost if a recorder fails or the run is killed:
+        `finished` is true if the run reached its end. `error` is the error or the interruption that ended the run at
+        once, or None. The order of the steps makes sure that no data are lost if a recorder fails or the run is killed:
 
         - The final state is written first, but does not yet replace the previous checkpoint.
         - All recorders finish. If one fails, the run can go on from the previous checkpoint.

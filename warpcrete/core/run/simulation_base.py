@@ -47,7 +47,7 @@ class SimulationBase(SimulationOnDevice):
             names = vars(SimulationBase)
             missing = [name for name in names if getattr(getattr(cls, name), "__isabstractmethod__", False)]
             if missing:
-                raise TypeError(f"{cls.__name__} lacks {', '.join(missing)}")
+                raise TypeError(f"{cls.__name__} does not define {', '.join(missing)}")
             SimulationBase.kinds.append(cls)
 
     def __new__(cls: type[S], scene: object, **settings: object) -> S:
@@ -149,13 +149,13 @@ class SimulationBase(SimulationOnDevice):
         return False
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a key of :data:`warpcrete.core.run.ending.REASONS`, and a sentence."""
+        """Return the reason why a complete run has ended: a key of :data:`.ending.REASONS`, and a sentence."""
         return "duration", f"the run has reached its duration of {self.duration:.4g} s"
 
     def reaching(self, time: float) -> Coroutine:
-        """Advance the run to the simulated time `time` [s], as a generator of requests to its caller.
+        """Advance the run to the simulated time `time` [s]; this generator requests the steps from its caller.
 
         Each :class:`Until` request states the time up to which the caller must step the run next. Subclasses override
-        the method to act at times before `time`, for example to let the concrete rest.
+        the method if something must happen before `time`, for example a rest of the concrete.
         """
         yield Until(time)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """Table of a run's results over a coordinate: columns of equal length by name, and the unit of each column."""
+    """Table of a run's results over a coordinate, such as the radius: columns of equal length, and their units."""
 
     columns: dict[str, np.ndarray]
     units: dict[str, str]
@@ -67,9 +67,9 @@ def dataset(
 ) -> Any:
     """Return columns as an xarray Dataset with one dimension, whose coordinate is the column `index`.
 
-    Each variable with a unit has it in `attrs["units"]`, where plots of xarray and pint find it, and each variable has
-    its name in words in `attrs["long_name"]`. Exponents are written as in "m^3/s", which pint requires. `attributes`
-    become the attributes of the whole Dataset. Raises :class:`WarpcreteError` if xarray is not installed; the message
+    The unit of each variable is in `attrs["units"]`, from which xarray's plots and pint read it, with exponents as in
+    "m^3/s", which pint requires. Its name in words is in `attrs["long_name"]`. `attributes` become the attributes of
+    the whole Dataset. Raises :class:`WarpcreteError` if xarray is not installed; the message
     names `instead`, such as "the arrays in run.series", as another way to get the data.
     """
     try:
@@ -85,7 +85,7 @@ def dataset(
 
 
 def with_powers(unit: str) -> str:
-    """Return the name of a unit as pint reads it, with its exponents written as powers: "m^3/s" for "m3/s"."""
+    """Return the name of a unit in the notation of pint, in which exponents follow "^": "m^3/s" for "m3/s"."""
     return re.sub(r"([A-Za-z])([0-9])", r"\1^\2", unit)
 
 
@@ -94,9 +94,10 @@ def _unit_attribute(unit: str) -> dict[str, str]:
 
 
 def unstacked(found: Any, names: Sequence[str]) -> Any:
-    """Return a one-dimensional xarray Dataset with its dimension replaced by its variables `names`.
+    """Return a one-dimensional xarray Dataset as a grid whose dimensions are the variables `names`.
 
-    No two rows may have the same values of `names`. Where no row exists, numbers are NaN and texts are empty.
+    No two rows may have the same values of these variables. At grid points without a row, numbers are NaN and texts are
+    empty.
     """
     (index,) = found.dims
     found = found.reset_index(index).reset_coords(index).set_coords(list(names))

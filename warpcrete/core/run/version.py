@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 @functools.cache
 def version_of(package: str) -> str:
-    """Return the version of an installed package; if it is not installed, return a text that says so."""
+    """Return the version of a package, or the text "source tree, not installed"."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -36,7 +36,7 @@ class Viewer:
 
     command: list[str]
     address: str
-    """URL that a browser opens, or that a run sends its recording to."""
+    """URL that a browser opens, or to which a run sends its recording."""
     endpoints: tuple[tuple[str, int], ...] = field(default=())
     """Host and port of each socket on which the viewer listens."""
     in_browser: bool = False
@@ -65,7 +65,7 @@ class Viewer:
 
 
 def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
-    """Return a server for recordings and for the web page that shows them; the server ends with this process."""
+    """Return a viewer that serves the `recordings` and a web page that shows them; it ends with this process."""
     web, data = _free_port(bind, WEB_PORT), _free_port(bind, DATA_PORT)
     host = _host(bind)
     source = urllib.parse.quote(f"rerun+http://{host}:{data}/proxy", safe="")
@@ -94,7 +94,7 @@ def _ports(bind: str, data: int) -> list[str]:
 
 
 def _host(bind: str) -> str:
-    """Return the host name by which browsers and other machines reach the address of a socket."""
+    """Return the host name for URLs with which browsers and other machines reach a socket at the IP address `bind`."""
     address = ipaddress.ip_address(bind)
     if address.is_unspecified:
         return socket.gethostname()

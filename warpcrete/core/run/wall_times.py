@@ -19,21 +19,21 @@ class WallTimes:
         self._rows: tuple[tuple[int, float], tuple[int, float]] | None = None
 
     def restore(self, phases: Mapping[str, float]) -> None:
-        """Restore the wall time of each of the `phases` [s] of a run, such as packing, from a checkpoint."""
+        """Restore the wall times of the phases of a run, such as packing [s], which were stored in a checkpoint."""
         self.phases = dict(phases)
         self._before_resume = phases["running"]
         self.note_checkpoint()
 
     def start(self) -> None:
-        """Note that the simulation begins to run now."""
+        """Record that the simulation begins to run now."""
         self._started = time.perf_counter()
 
     def note_checkpoint(self) -> None:
-        """Note that a checkpoint has been written or read now."""
+        """Record that a checkpoint has been written or read now."""
         self._saved_at = time.perf_counter()
 
     def note_row(self, steps: int) -> None:
-        """Note that the time series has got a new row now, after the given number of `steps`."""
+        """Record that the time series has a new row now, after `steps` time steps of the run."""
         now = (steps, time.perf_counter())
         self._rows = (self._rows[0] if self._rows else now, now)
 
@@ -55,7 +55,7 @@ class WallTimes:
     def pace(self, steps: int) -> float:
         """Return the mean number of time steps per second of wall time, in this process.
 
-        The mean leaves out the time up to the first new row of the time series, which contains preparation and
+        The mean excludes the time up to the first new row of the time series, which includes preparation and
         compilation. If this process has added fewer than two rows, return the mean over all `steps` of the run.
         """
         if self._rows is not None and self.has_pace:
