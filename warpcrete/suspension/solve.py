@@ -20,10 +20,12 @@ from ..core.errors import CapacityError, ConvergenceError
 from ..dem.engine.stages import warp_width
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.grid.cells import DT
+from ..kernels.suspension.compact import ENTRIES, compact_kernels, compact_struct
 from ..kernels.suspension.coupling import advance_kernels, pressure_kernels, product_kernels, residual_kernels
 from ..kernels.suspension.pairs import CAPACITY, pair_kernels
 from ..kernels.suspension.vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, SUMS, add_kernel, sum_kernel
 from ..kernels.suspension.velocity import force_kernels, gather_kernel, search_kernels, update_kernels
+from ..mps.common.allocation import allocate
 from .directions import CHUNK, Directions
 
 CPU_TASKS = 32
@@ -113,6 +115,12 @@ class CoupledSolve:
         self.yielding = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
         self.inverse = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
+        # A CPU reads the rows of the exact matrix one after the other, which is fast enough.
+        self.compact: Any = None
+        if not serial:
+            sizes = {"entries": 3 * ENTRIES * slots, "diagonal": 3 * slots}
+            self.compact = allocate(compact_struct(self.scalar), self.device, **sizes)
+            self.compacts = compact_kernels(self.scalar, serial, kind)
         self._stages: dict[Any, Stage] = {}
         self.outer = 0
         self.inner = 0
@@ -141,7 +149,7 @@ class CoupledSolve:
         return flow.kernel_arrays | {
             "tasks": self.tasks, "partials": self.partials, "first": self.tasks // (BLOCK if flow.parallel else 1),
             "factors": self.factors, "inverse": self.inverse, "yielding": self.yielding, "matrix": flow.viscous.matrix,
-            "partial": self.partial, "sums": self.sums,
+            "compact": self.compact, "partial": self.partial, "sums": self.sums,
         }  # fmt: skip
 
     def _sum(self, slot: int, sums: int = 1) -> None:
@@ -182,6 +190,8 @@ class CoupledSolve:
         self.inner, self.outer, self._largest = 0, 0, 0.0
         self._dt = float(flow.mesh.clock.numpy()[int(DT)])
         self.directions.known = self.directions.orthogonal = 0
+        if self.compact is not None:
+            self._launch(self.compacts.compress, 3 * flow.state.slots)
         self._begin(again=False)
         self._iterate(max(self.tolerances.coupled, ROUGH_ERROR))
         if self._new_contacts(CERTAIN):
@@ -360,12 +370,13 @@ class CoupledSolve:
         self._launch(self.search.begin, self.all_tasks, **named)
         self._sum(int(RZ))
         self._launch(self.updates.shift, 1, first=1)
+        multiply = self.search.multiply if self.compact is None else self.compacts.multiply
         for number in range(self.tolerances.inner):
             if number % self.checked == 0:
                 sums = self.sums.numpy()
                 if sums[int(RZ)] <= self.viscous**2 * sums[int(RZ_FIRST)]:
                     return
-            self._launch(self.search.multiply, self.tasks, direction=self.direction, result=self.product)
+            self._launch(multiply, self.tasks, direction=self.direction, result=self.product)
             self._launch(self.gather, self.for_bodies, direction=self.direction, result=self.product)
             self._sum(int(PQ))
             self._launch(self.updates.update, self.all_tasks, result=self.product, **named)
