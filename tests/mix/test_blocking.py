@@ -143,7 +143,7 @@ def test_a_ratio_of_water_to_binder_without_masses():
         entries = {"density": "2350 kg/m3", "aggregate": "36 %", "sizes": ["4 mm", "16 mm"], "spread": "600 mm"}
         mix = mix_of(entries | {"water_binder": ratio})
         (found,) = [each for each in blocking_rules(mix.given, 0.125) if each.rule == "bleeding"]
-        assert found.verdict == verdict and found.found.startswith(f"water over powder {ratio:.2f}; ")
+        assert found.verdict == verdict and found.found.startswith(f"water-binder ratio {ratio:.2f}; ")
         assert "times the water" not in found.found
 
 
@@ -154,7 +154,7 @@ def test_the_slump(slump, admixture, verdict):
     own = parts(superplasticizer=2) if admixture else parts()
     found = verdicts(parts=own, slump=f"{slump} mm")["consistency"]
     assert found.verdict == verdict
-    assert ("100 to 160 mm are usual, and more with a superplasticizer, as here" in found.found) == admixture
+    assert ("100 to 160 mm are usual; a superplasticizer, as in this mix, allows more" in found.found) == admixture
 
 
 @pytest.mark.parametrize(("slump", "verdict"), [(120, "fine"), (160, "fine"), (161, "unknown"), (40, "risky")])
@@ -244,7 +244,7 @@ def test_bleeding_is_unknown_if_only_the_sand_is():
     """300 kg of powder are 1.67 times 180 kg of water; with 15 % of 790 kg of sand they are 2.33 times."""
     aggregates = {"aggregate": None, "fine_sand": None}
     whole = verdicts(parts={"cement": 300, "water": 180, "aggregate": 1870}, **aggregates)["bleeding"]
-    assert whole.verdict == "unknown" and "fine sand are 1.67 times the water" in whole.found
+    assert whole.verdict == "unknown" and "fine sand 1.67 times the water" in whole.found
     apart = verdicts(parts={"cement": 300, "water": 180, "sand": 790, "gravel": 1080}, **aggregates)["bleeding"]
     assert apart.verdict == "fine" and "2.33 times" in apart.found
     wet = verdicts(parts={"cement": 290, "water": 185, "aggregate": 1870}, **aggregates)["bleeding"]

@@ -29,7 +29,7 @@ def test_a_slump_and_a_straight_pipe_suffice(tmp_path):
     record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
     assert record["pressure"]["value"] == pytest.approx(friction + 2350 * 9.81 * 20, rel=1e-9)
     assert record["pressure_low"]["value"] < record["pressure"]["value"] / 1.4
-    assert "slump 180mm at 30 m3/h" in done.output and "20 mm in 125 mm is 0.16" in done.output
+    assert "slump 180mm at 30 m3/h" in done.output and "20 mm in a bore of 125 mm has the ratio 0.16" in done.output
     assert "bends, reducers and hoses are not counted" in done.output
     assert "alone says little about the slip layer: the parts of the mix give a better estimate" in done.output
 
