@@ -181,7 +181,7 @@ BEND = {"bend": {"to": "up", "radius": 0.5}}
         ({"parts": [{"straight": 1}, {"straight": {"length": 1, "diameter": "100 mm"}}]},
          r"^part 2, straight: diameter = '100 mm': differs from the diameter .* before it, 0\.125 m; put"),
         ({"parts": [{"straight": {"length": 5, "rise": 5}}]},
-         r"^part 1, straight: rise = 5: does not fit: as the line goes here, a part of 5 m rises by 0 m; put a bend"),
+         r"^part 1, straight: rise = 5: does not fit: in the direction of the line here, a part of 5 m rises by 0 m"),
         ({"parts": [BEND, BEND]}, r"^part 2, bend: to = 'up': is the direction that the line already"),
         ({"parts": [{"reducer": {"length": 1}}]}, r"^part 1, reducer = .*: has no 'to'"),
         ({"parts": [{"bend": {"radius": 1}}]}, r"^part 1, bend: to = None: must be one of up, down, left"),
