@@ -84,13 +84,13 @@ def test_a_slump_replaces_the_concrete_of_a_file():
         (["--slump", "30mm", "--spread", "700mm", *PIPE], "contradicts 1480 (591 to 2110) Pa from slump of 30 mm"),
         (["--slump", "180mm", "--stone", "2mm", *PIPE], "stone = 0.002: must be at least 0.008 m"),
         (["--slump", "180mm", "--stone", "130mm", *PIPE], "largest_stone = 0.13: does not pass through part 1"),
-        (["--slump", "180mm", "--concrete", "no1", *PIPE], "slump: cannot be given together with --concrete"),
+        (["--slump", "180mm", "--concrete", "no1", *PIPE], "slump = '180mm': cannot be given together with --concrete"),
         (["--slump", "180mm", *PIPE, "--simulate"], "slump: a slump or spread alone is not enough for a simulation"),
         (
             ["--slump", "180mm", *PIPE, "--length", "190 l"],
             "length = '190 l': must be a number with one of the units m, mm",
         ),
-        (["burj-khalifa", "--length", "3 m"], "length: cannot be given together with the file of a line"),
+        (["burj-khalifa", "--length", "3 m"], "length = '3 m': cannot be given together with the file of a line"),
         (["--slump", "180mm", *PIPE, "--diameter", "0"], "diameter = 0.0: must be a finite number above 0 m"),
     ],
 )

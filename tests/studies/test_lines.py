@@ -359,7 +359,7 @@ def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
     done = CliRunner().invoke(cli, ["line", str(path), "--simulate", "--out", str(out)])
     assert done.exit_code == 130 and f"continue with the same command and --out {out}" in done.output
     other = CliRunner().invoke(cli, ["line", str(path), "--simulate", "--out", str(out), "--cells", "10"])
-    assert "contains the unfinished results of another line" in str(other.exception)
+    assert "contains the unfinished results of a line with other inputs" in str(other.exception)
 
 
 def test_two_segments_are_as_far_apart_as_geometry_says():

@@ -208,7 +208,7 @@ def test_a_lost_run_ends_a_calibration_instead_of_counting_as_a_bad_point(tmp_pa
     )
     monkeypatch.setattr(calibrate, "_run_group", lambda *rest: study)
     found = SimpleNamespace(folder=tmp_path, task=SimpleNamespace(groups=[[None]]), trials=[])
-    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs were lost for such reasons; run them again with"
+    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs were lost because a process died or the disk was"
     with pytest.raises(WarpcreteError, match=lost):
         calibrate.run_round(found, {}, 0, [], {}, lambda *rest: None, (0.0, 1.0))
     study.not_at_fault.clear()  # as of a case that fails by itself, whatever with
