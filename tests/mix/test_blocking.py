@@ -7,7 +7,15 @@ from click.testing import CliRunner
 
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.yaml_files import yaml_text
-from warpcrete.mix.blocking import SELF_COMPACTING, blocking_rules, line_rules, narrowest, rule_lines, worst
+from warpcrete.mix.blocking import (
+    SELF_COMPACTING,
+    behind_reducers,
+    blocking_rules,
+    line_rules,
+    narrowest,
+    rule_lines,
+    worst,
+)
 from warpcrete.mix.mix import mix_of, read_mix
 from warpcrete.studies.lines.losses import line_of
 
@@ -202,6 +210,24 @@ def test_a_line_is_judged_at_its_narrowest_part():
     assert text[0] == "will it block? perhaps, by rules of practice (2 risky; narrowest part 2)"
     assert any("->" in x for x in text)
     assert rule_lines([])[0].startswith("will it block? no rule of practice says so, but not all could be applied")
+
+
+NARROWING, UP = {"reducer": {"to": "100 mm", "length": "1 m"}}, {"bend": {"to": "up", "radius": "0.5 m"}}
+
+
+@pytest.mark.parametrize(
+    ("parts", "run"),
+    [
+        ([NARROWING, {"straight": "1 m"}, UP], "1 m"), ([NARROWING, UP, {"straight": "9 m"}], "0 m"),
+        ([NARROWING, {"straight": "2 m"}, {"straight": "2.9 m"}, UP], "4.9 m"),
+        ([NARROWING, {"straight": "2 m"}, {"straight": "3 m"}, UP], None), ([NARROWING, {"straight": "1 m"}], None),
+        ([{"reducer": {"to": "150 mm", "length": "1 m"}}, {"straight": "1 m"}, UP], None),
+    ],
+)  # fmt: skip
+def test_five_metres_of_straight_pipe_must_follow_a_reducer_that_narrows(parts, run):
+    """Nothing is asked for at the end of a line, where no bend follows, or behind a part that widens."""
+    found = list(behind_reducers(line_of(LINE | {"parts": parts})))
+    assert [each.found.partition(" of straight pipe follow part 1")[0] for each in found] == ([run] if run else [])
 
 
 def test_the_commands_print_the_rules(tmp_path):

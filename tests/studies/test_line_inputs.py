@@ -98,3 +98,12 @@ def test_options_that_are_missing_or_impossible_are_told_in_one_line(words, says
     done = called(*words)
     text = str(done.exception) if done.exit_code == 1 else done.output
     assert done.exit_code != 0 and says in text
+
+
+def test_every_option_that_has_no_answer_without_a_flow_is_named(tmp_path):
+    options = ["--rest", "5 min", "--pump-pressure", "85 bar", "--pump-flow", "60 m3/h", "--pump-power", "110 kW",
+               "--practice", "--out", str(tmp_path / "out")]  # fmt: skip
+    done = called("--slump", "18cm", "--diameter", "125mm", "--length", "9m", *options)
+    needing = "--rest and --pump-pressure and --pump-flow and --pump-power and --practice and --out"
+    assert done.exit_code != 0 and done.output.strip().endswith(f"as in --flow '30 m3/h', or leave out {needing}")
+    assert not (tmp_path / "out").exists()
