@@ -66,7 +66,7 @@ def section(name: str, record: dict, figure: bool = True) -> str:
     error = f" Even the finest setting has an estimated error of {' and '.join(own)}." if own else ""
     table = f"The command `{command}` made this table" if how else f"This table is for the simulation `{command}`"
     lines = [f"{table}. A run with unchanged settings takes {time:.3g} s on {record['machine']}.{error}", ""]
-    lines += [f"![Error over cost: {name}](../images/trade_{name}.png)", ""] if figure else []
+    lines += [f"![Error over computing time: {name}](../images/trade_{name}.png)", ""] if figure else []
     lines += ["| error wanted | setting | relative time | guaranteed error | with new random packings "
               "| largest error in other simulations |", "|---|---|---|---|---|---|"]  # fmt: skip
     rows: dict[tuple[str, ...], list[str]] = {}

@@ -28,7 +28,7 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
         (("tube", "tub"), "'tub'"), (("tube", "--device", "cuda:99"), "cuda:99"),
         (("pipe", "tube", "--contact", "linear"), "--contact: is not a parameter of this scene"),
         (("pipe", "--contact", "lineal"), "contact = 'lineal'"),
-        (("pipe", "--bonds", "true", "tube"), "takes one value"),
+        (("pipe", "--bonds", "true", "tube"), "must be a single value"),
         (("slump", "lbox", "--method", "dem"), "--method: applies to one scene; leave out 'lbox', or write the full"),
         (("--contact", "linear"), "--contact: needs the name of a scene before it"),
     ):  # fmt: skip

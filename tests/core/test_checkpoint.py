@@ -13,6 +13,8 @@ from pumping import SMALL, command, small_options
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError
 from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.run.checkpoint import discard, remove
+from warpcrete.core.run.files import partial_of
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.laws import Contact
@@ -181,6 +183,18 @@ def test_a_truncated_checkpoint_is_refused_wherever_it_ends(saved):
             Simulation(mixed_scene(), device="cpu").resume(saved)
     with pytest.raises(RunFolderError, match=r"other\.npz': does not exist"):
         Simulation(mixed_scene(), device="cpu").resume(saved.with_name("other.npz"))
+
+
+def test_a_checkpoint_is_removed_with_the_file_of_a_write_that_was_interrupted(tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    for file in (path, partial_of(path)):
+        file.write_bytes(b"state")
+    discard(path)
+    assert list(tmp_path.iterdir()) == [path]
+    partial_of(path).write_bytes(b"half a state")
+    remove(path)
+    assert not list(tmp_path.iterdir())
+    remove(path)  # A run that ends before its first checkpoint has neither file.
 
 
 def test_a_foreign_or_altered_checkpoint_is_refused_with_the_reason(saved):

@@ -136,6 +136,19 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
     assert _difference({"files": None, "scene": "tube"}, {"files": {}, "scene": "tube"}) == ""
 
 
+def test_runs_may_differ_in_the_time_between_checkpoints_alone():
+    there = {"scene": "tube", "files": {"a.stl": "0"}, "command": {"frames": 25.0, "checkpoint_every": 60.0}}
+
+    def difference(**changes):
+        return _difference(there, there | changes)
+
+    assert difference() == difference(command={"frames": 25.0, "checkpoint_every": 5.0}) == ""
+    assert difference(command={"frames": 50.0, "checkpoint_every": 5.0}) == "its frames is 25.0 instead of 50.0"
+    assert difference(scene="pipe") == 'its scene is "tube" instead of "pipe"'
+    assert difference(files={"a.stl": "0", "b.stl": "1"}) == "its file 'b.stl' differs"
+    assert difference(device="cpu") == 'its device is null instead of "cpu"'
+
+
 def test_a_run_that_never_began_leaves_an_empty_folder_empty(tmp_path):
     begun = flow(tmp_path)
     begun.claim()

@@ -178,7 +178,7 @@ def test_bare_numbers_are_taken_for_what_they_were_meant():
         (lambda: scenes.tube(flow=0.1, time_step=1e-4, sample_interval=1e-3),
          "flow = 0.1: makes the concrete flow at 12.7 m/s"),
         (lambda: mix_of(MIX | {"parts": PARTS | {"sand": 700}}),
-         "mix parts: fill 0.929 m3 of 1 m3, which leaves 7.1 % of air"),
+         "mix parts: fill 0.929 m3 of a cubic metre, which leaves 7.1 % of air"),
         (lambda: mix_of(MIX | {"parts": PARTS | {"Dynamon": 3}}), "mix parts: 'Dynamon' is not a known ingredient"),
     ],
 )  # fmt: skip
@@ -196,8 +196,8 @@ PARTS = {"cement": 340, "limestone": 190, "water": 175, "sand": 810, "gravel": 8
     ("more", "says"),
     [
         ({"cment": 10}, r"^mix parts = 'cment': is not a known ingredient; did you mean 'cement'\?"),
-        ({"sand": 400}, r"fill 0\.815 m3 of 1 m3 without air; list all ingredients"),
-        ({"sand": 1100}, r"fill 1\.080 m3 of 1 m3 without air"),
+        ({"sand": 400}, r"fill 0\.815 m3 of a cubic metre without air; list all ingredients"),
+        ({"sand": 1100}, r"fill 1\.080 m3 of a cubic metre without air"),
         ({"cement": 1e-30}, r"^mix parts: cement = 1e-30: must be in \[0\.01, 5000\] kg/m3"),
         ({"cement": "340 kg"}, r"^mix parts: cement = '340 kg': must be a number with one of the units kg/m3"),
     ],
@@ -212,7 +212,7 @@ def test_stated_air_belongs_to_the_cubic_metre():
         warnings.simplefilter("error")
         mix_of(MIX | {"parts": PARTS, "air": "3 %"})
         mix_of(MIX | {"parts": PARTS | {"sand": 700}, "air": "7 %"})
-    with pytest.raises(SceneError, match=r"fill 1\.120 m3 of 1 m3, with 15 % of air"):
+    with pytest.raises(SceneError, match=r"fill 1\.120 m3 instead of 1 m3, including 15 % of air"):
         mix_of(MIX | {"parts": PARTS, "air": "15 %"})
 
 

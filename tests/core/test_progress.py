@@ -53,6 +53,18 @@ def test_a_resumed_run_counts_what_this_process_does(clock, capsys):
     assert "running: 90 %, 10:00 elapsed, about 10:00 left" in lines
 
 
+def test_a_resumed_run_that_stands_still_counts_what_this_process_does(clock, capsys):
+    """One of the 20 % that are left takes 90 s with a pause of 30 s, so that the last 19 % need 1710 s."""
+    bar = ProgressBar()
+    for elapsed, fraction in ((0, 0.8), (30, 0.8), (60, 0.81), (90, 0.81)):
+        clock.time = 100.0 + elapsed
+        bar("running", fraction, {})
+    assert lines_of(capsys) == [
+        "running: 80 %, 00:30 elapsed", "running: 81 %, 01:00 elapsed, about 09:30 left",
+        "running: 81 %, 01:30 elapsed, about 28:30 left",
+    ]  # fmt: skip
+
+
 def test_the_time_left_follows_a_pace_that_changes(clock, capsys):
     """The first tenth takes 30 s and the second 60 s, so that the remaining eight need 480 s."""
     bar = ProgressBar()

@@ -129,7 +129,7 @@ def test_a_pipeline_that_cannot_be_computed_costs_only_itself(tmp_path, monkeypa
     simulation = flow(tmp_path / "run", PipelineRecorder(10.0, None, {}))
     with pytest.warns(
         UserWarning,
-        match=r"the run is complete, but the pipeline's pressure is not known: KeyError\('concrete_length'\)$",
+        match=r"but the pressure of the whole pipeline was not computed: KeyError\('concrete_length'\)$",
     ):
         run = simulation.run()
     result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))

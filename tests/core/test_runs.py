@@ -62,7 +62,7 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     (cut / "series.csv").write_text("\n".join(rows[:3]) + "\n" + rows[3][:5], encoding="utf-8")
     back = warpcrete.load(cut)
     assert not back.finished and back.result == {} and "not finished" in repr(back)
-    with pytest.raises(KeyError, match="has none, because it ended before its results were written"):
+    with pytest.raises(KeyError, match="has no quantities, because it ended before its results were written"):
         back["pressure"]
     assert len(back.series["time"]) == 2
     assert back.series["pressure"] == pytest.approx(ran.series["pressure"][:2], rel=1e-8, nan_ok=True)

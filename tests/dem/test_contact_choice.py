@@ -229,9 +229,7 @@ def test_a_file_that_names_a_law_does_not_import_it(tmp_path, monkeypatch):
         studies.load_study(tmp_path / "run")
     assert load(tmp_path / "run").scene.parameters == parameters  # without the scene itself
     assert not (tmp_path / "ran").exists() and "evil_law" not in sys.modules
-    assert "was not written by 'warpcrete run', which therefore cannot continue the run" in refused(
-        "--trust", "run", "--resume", "run"
-    )
+    assert "belongs to a run that was not started with 'warpcrete run'" in refused("--trust", "run", "--resume", "run")
     assert (tmp_path / "ran").exists() and sys.path == path
     assert studies.load_study(tmp_path / "run").scene == "pipe"  # the module is there now
     monkeypatch.delitem(sys.modules, "evil_law")

@@ -47,7 +47,9 @@ def run(scene, **settings):
 @pytest.mark.parametrize("kind", ["safety", "fixed"])
 def test_a_coarse_step_is_named_with_its_cure_and_the_cure_works(kind, tmp_path):
     coarse = TimeStep() if kind == "safety" else TimeStep(fixed=2e-4)
-    with pytest.warns(UserWarning, match="the time step is coarse for the impacts in this run: energy balance") as told:
+    with pytest.warns(
+        UserWarning, match="the time step is too coarse for the impacts in this run: energy balance"
+    ) as told:
         first = run(drop(time_step=coarse), out=tmp_path / "coarse")
     assert first["energy_balance_error"] > 0.1  # 0.25 and 0.23
     cure = re.search(rf"in Python TimeStep\({kind}=(\S+)\)", str(told[0].message))

@@ -7,7 +7,15 @@ from click.testing import CliRunner
 
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.yaml_files import yaml_text
-from warpcrete.mix.blocking import SELF_COMPACTING, blocking_rules, line_rules, narrowest, rule_lines, worst
+from warpcrete.mix.blocking import (
+    SELF_COMPACTING,
+    behind_reducers,
+    blocking_rules,
+    line_rules,
+    narrowest,
+    rule_lines,
+    worst,
+)
 from warpcrete.mix.mix import mix_of, read_mix
 from warpcrete.studies.lines.losses import line_of
 
@@ -143,7 +151,7 @@ def test_a_ratio_of_water_to_binder_without_masses():
         entries = {"density": "2350 kg/m3", "aggregate": "36 %", "sizes": ["4 mm", "16 mm"], "spread": "600 mm"}
         mix = mix_of(entries | {"water_binder": ratio})
         (found,) = [each for each in blocking_rules(mix.given, 0.125) if each.rule == "bleeding"]
-        assert found.verdict == verdict and found.found.startswith(f"water over powder {ratio:.2f}; ")
+        assert found.verdict == verdict and found.found.startswith(f"water-binder ratio {ratio:.2f}; ")
         assert "times the water" not in found.found
 
 
@@ -154,7 +162,7 @@ def test_the_slump(slump, admixture, verdict):
     own = parts(superplasticizer=2) if admixture else parts()
     found = verdicts(parts=own, slump=f"{slump} mm")["consistency"]
     assert found.verdict == verdict
-    assert ("100 to 160 mm are usual, and more with a superplasticizer, as here" in found.found) == admixture
+    assert ("100 to 160 mm are usual; a superplasticizer, as in this mix, allows more" in found.found) == admixture
 
 
 @pytest.mark.parametrize(("slump", "verdict"), [(120, "fine"), (160, "fine"), (161, "unknown"), (40, "risky")])
@@ -204,6 +212,24 @@ def test_a_line_is_judged_at_its_narrowest_part():
     assert rule_lines([])[0].startswith("will it block? no rule of practice says so, but not all could be applied")
 
 
+NARROWING, UP = {"reducer": {"to": "100 mm", "length": "1 m"}}, {"bend": {"to": "up", "radius": "0.5 m"}}
+
+
+@pytest.mark.parametrize(
+    ("parts", "run"),
+    [
+        ([NARROWING, {"straight": "1 m"}, UP], "1 m"), ([NARROWING, UP, {"straight": "9 m"}], "0 m"),
+        ([NARROWING, {"straight": "2 m"}, {"straight": "2.9 m"}, UP], "4.9 m"),
+        ([NARROWING, {"straight": "2 m"}, {"straight": "3 m"}, UP], None), ([NARROWING, {"straight": "1 m"}], None),
+        ([{"reducer": {"to": "150 mm", "length": "1 m"}}, {"straight": "1 m"}, UP], None),
+    ],
+)  # fmt: skip
+def test_five_metres_of_straight_pipe_must_follow_a_reducer_that_narrows(parts, run):
+    """Nothing is asked for at the end of a line, where no bend follows, or behind a part that widens."""
+    found = list(behind_reducers(line_of(LINE | {"parts": parts})))
+    assert [each.found.partition(" of straight pipe follow part 1")[0] for each in found] == ([run] if run else [])
+
+
 def test_the_commands_print_the_rules(tmp_path):
     path = tmp_path / "mix.yaml"
     path.write_text(yaml_text({"mix": ORDINARY}), encoding="utf-8")
@@ -244,7 +270,7 @@ def test_bleeding_is_unknown_if_only_the_sand_is():
     """300 kg of powder are 1.67 times 180 kg of water; with 15 % of 790 kg of sand they are 2.33 times."""
     aggregates = {"aggregate": None, "fine_sand": None}
     whole = verdicts(parts={"cement": 300, "water": 180, "aggregate": 1870}, **aggregates)["bleeding"]
-    assert whole.verdict == "unknown" and "fine sand are 1.67 times the water" in whole.found
+    assert whole.verdict == "unknown" and "fine sand 1.67 times the water" in whole.found
     apart = verdicts(parts={"cement": 300, "water": 180, "sand": 790, "gravel": 1080}, **aggregates)["bleeding"]
     assert apart.verdict == "fine" and "2.33 times" in apart.found
     wet = verdicts(parts={"cement": 290, "water": 185, "aggregate": 1870}, **aggregates)["bleeding"]

@@ -32,12 +32,12 @@ def test_the_largest_stone_alone_suffices(tmp_path):
     with pytest.raises(SceneError, match=r"largest of mix sizes = 0\.006: must be in \[0\.008, 0\.3\] m"):
         mix_of(SPREADING | {"sizes": "6 mm"})
     for name in ("stone", "largest_stone"):
-        with pytest.raises(SceneError, match=rf"mix key = '{name}': is the entry 'sizes' of a mix; write 'sizes: 20 m"):
+        with pytest.raises(SceneError, match=rf"mix key = '{name}': is called 'sizes' in a mix; write 'sizes: 20 m"):
             mix_of(SPREADING | {name: "20 mm"})
     other = ((value, "20 mm") for value in (None, {"a": 1}, [5, 20], "coarse", "0.02 mm", 0, 0.75, 2000, -0.02, True))
     same = ((value, "20 mm") for value in (20, "20", 0.02, "0.02", "2e-2", "0,02"))
     for value, size in (*other, *same, (0.0125, "12.5 mm"), (32, "32 mm"), (0.3, "300 mm"), ("3/4 in", "3/4 in")):
-        with pytest.raises(SceneError, match=rf"is the entry 'sizes' of a mix; write 'sizes: {size}'$"):
+        with pytest.raises(SceneError, match=rf"is called 'sizes' in a mix; write 'sizes: {size}'$"):
             mix_of({"density": 2350, "stone": value})
 
 
@@ -71,7 +71,7 @@ def test_an_ingredient_that_may_be_powder_leaves_the_paste_unknown():
     named = mix_of({"parts": parts | {"Type I/II": "564 lb/yd3"}, "slump": "6 in"})
     assert named["slip viscosity"].value == mix_of({"parts": parts | {"cement": "564 lb/yd3"}, "slump": "6 in"})[
         "slip viscosity"].value  # fmt: skip
-    with pytest.warns(PlausibilityWarning, match="counts neither as powder nor as stone"):
+    with pytest.warns(PlausibilityWarning, match="is taken neither for powder nor for aggregate"):
         unknown = mix_of({"parts": parts | {"CX-7": "564 lb/yd3"}, "slump": "6 in"})
     assert unknown["slip viscosity"].way.startswith("slump")
 
@@ -139,10 +139,10 @@ def test_heavy_concrete_fills_its_volume():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_volume(heavy, 2650.0, None)
-    with pytest.warns(PlausibilityWarning, match=f"fill {by_hand + 0.05:.3f} m3 of 1 m3, with 5 % of air"):
+    with pytest.warns(PlausibilityWarning, match=f"fill {by_hand + 0.05:.3f} m3 instead of 1 m3, including 5 % of air"):
         check_volume(heavy, 2650.0, 0.05)
     stated = 350 / 3100 + 175 / 1000 + 1200 / 4200 + 1850 / 4700
-    with pytest.warns(PlausibilityWarning, match=f"fill {stated + 0.08:.3f} m3 of 1 m3, with 8 % of air"):
+    with pytest.warns(PlausibilityWarning, match=f"fill {stated + 0.08:.3f} m3 instead of 1 m3, including 8 % of air"):
         check_volume(heavy, 4700.0, 0.08)
 
 
@@ -173,50 +173,50 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
     ("section", "says"),
     [
         ({}, "mix = {}: is empty"),
-        ({"density": 2350, "W/C": 0.45}, "mix key = 'W/C': is the entry 'water_binder' of a mix; write 'water_"),
+        ({"density": 2350, "W/C": 0.45}, "mix key = 'W/C': is called 'water_binder' in a mix; write 'water_"),
         ({"parts": {"cement CEM II 42": None, "5 R": 340, "water": 170}}, "has no amount; a comma inside braces"),
-        ({"parts": {"cement": 340, "superplasticizer": None}}, "= None: has no amount; state it, as in '3 kg/m3' or"),
-        ({"parts": {"cement": 340, "superplasticizer": True}}, "= True: has no amount; state it, as in '3 kg/m3' or"),
-        ({"parts": {"cement": 340, "superplasticizer": "yes"}}, "= 'yes': has no amount; state it, as in '3 kg/m3' or"),
-        ({"parts": {"cement": 340, "superplasticizer": "0.8 %"}}, "is a share, but must count per volume of concrete; "
-         "multiply it by the kilograms of cement"),
+        ({"parts": {"cement": 340, "superplasticizer": None}}, "= None: has no amount; state the amount, as"),
+        ({"parts": {"cement": 340, "superplasticizer": True}}, "= True: has no amount; state the amount, as"),
+        ({"parts": {"cement": 340, "superplasticizer": "yes"}}, "= 'yes': has no amount; state the amount, as"),
+        ({"parts": {"cement": 340, "superplasticizer": "0.8 %"}}, "is a percentage, but must be a mass per volume "
+         "of concrete; multiply it by the kilograms of cement"),
         ({"density": 2350, "slump": "S4"}, "mix slump = 'S4': is a class of EN 206, with a slump of 160 to 210 mm; "
-         "write the measured one, or the middle of the class, as in 'slump: 185 mm'"),
+         "write the measured slump, or the middle of the class, as in 'slump: 185 mm'"),
         ({"density": 2350, "spread": "sf2"}, "with a spread of 660 to 750 mm"),
-        ({"density": 2350, "slump": "F5"}, "mix slump = 'F5': is a class of the flow table"),
+        ({"density": 2350, "slump": "F5"}, "mix slump = 'F5': is a flow table class"),
         ({"density": 2350, "slump": "120 to 150 mm"}, "is a range, but must be one value"),
         ({"density": 2350, "slump": "5-6 in"}, "is a range, but must be one value"),
-        ({"density": 2350, "consistency class": "S3"}, "is the entry 'slump' of a mix; write 'slump: S3'"),
-        ({"density": 2350, "Dmax": 16}, "mix key = 'Dmax': is the entry 'sizes' of a mix; write 'sizes: 16 mm'"),
-        ({"density": 2350, "max. aggregate size": "3/4 in"}, "is the entry 'sizes' of a mix; write 'sizes: 3/4 in'"),
-        ({"parts": {"cement": "6 sacks"}}, "counts sacks, but must be a mass in a volume of concrete; a US sack of "
-         "cement has 94 lb: write '564 lb/yd3'"),
+        ({"density": 2350, "consistency class": "S3"}, "is called 'slump' in a mix; write 'slump: S3'"),
+        ({"density": 2350, "Dmax": 16}, "mix key = 'Dmax': is called 'sizes' in a mix; write 'sizes: 16 mm'"),
+        ({"density": 2350, "max. aggregate size": "3/4 in"}, "is called 'sizes' in a mix; write 'sizes: 3/4 in'"),
+        ({"parts": {"cement": "6 sacks"}}, "is a number of sacks, but must be a mass per volume of concrete; a US "
+         "sack of cement has 94 lb: write '564 lb/yd3'"),
         ({"parts": {"cement": 564, "water": 280, "sand": 1300, "stone": 1800}, "slump": "5 in"},
          "or write units behind the numbers, as in '564 lb/yd3'"),
-        ({"parts": {"cement": 340, "sand": 800, "gravel": 1000}, "slump": "5 in"}, "cubic metre, in kg/m3, with the w"),
-        ({"parts": {"cement": 340, "Total": 2310}}, "mix parts: Total = 2310: is a sum, not an ingredient; leave it"),
+        ({"parts": {"cement": 340, "sand": 800, "gravel": 1000}, "slump": "5 in"}, "cubic metre, in kg/m3, includ"),
+        ({"parts": {"cement": 340, "Total": 2310}}, "mix parts: Total = 2310: is a sum, not an ingredient; remove it"),
         ({"parts": {"cement": 340, "water": 170, "sand": 800, "gravel": 1000, "xyz": 1000}, "slump": "5 in"},
          "contain 1000 kg/m3 of unknown density, for which the other parts, with 0.959 m3, leave no room in 1 m3"),
-        ({"parts": {"cement": 340, "air": "2 %"}}, "is the entry 'air' of a mix, not an ingredient; write 'air: ...'"),
+        ({"parts": {"cement": 340, "air": "2 %"}}, "is the entry 'air' of a mix, not an ingredient; move it out of"),
         ({"parts": {"cement": 340, "w/c": 0.5}}, "is the entry 'water_binder' of a mix, not an ingredient"),
         ({"parts": {"OPC": 340, "water": 170, "FA": 800, "gravel": 1000}, "slump": "5 in"},
          "mix parts = 'FA': is an abbreviation that is not known; write the name"),
-        ({"parts": {"cement": 340, "slag": "30 %"}}, "is a share, but must count per volume"),
+        ({"parts": {"cement": 340, "slag": "30 %"}}, "is a percentage, but must be a mass per volume"),
         ({"Sand moisture": "4 %"}, "mix key = 'Sand moisture': is not an entry of a mix; subtract the surface"),
-        ({"slump flow": "26 in"}, "mix key = 'slump flow': is the entry 'spread' of a mix; write 'spread: 26 in'"),
+        ({"slump flow": "26 in"}, "mix key = 'slump flow': is called 'spread' in a mix; write 'spread: 26 in'"),
         ({"parts": {"cement": 340, "water": 170, "Sikka 12": "30 l/m3"}}, "is a volume, which is accepted for water"),
         ({"volume": "8 yd3", "parts": {"cement": "4,794 lb", "water": "265 lb"}, "slump": "5 in"},
          "cement = '4,794 lb': must be a number with one of the units kg, t, g, lb for the whole load"),
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
         ({"parts": {"cement": 400, "water": 180, "sand": 700, "expanded clay 4/8": 420}, "aggregate": "420 kg/m3"},
-         "mix aggregate = '420 kg/m3': is a mass, but the density of 'expanded clay 4/8' is not stated; add '"),
+         "mix aggregate = '420 kg/m3': is a mass, so the density of 'expanded clay 4/8' must be stated; add '"),
         ({"density": 2300, "slump": 0.1, "volume": "9 yd3"}, "mix volume = '9 yd3': has no effect without 'parts'"),
-        ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
-        ({"spread": 0.6}, "mix density: is missing, and the mix lists no 'parts'"),
+        ({"density": 2300}, "mix = 'density': contains no entry from which the yield stress of"),
+        ({"spread": 0.6}, "mix density: must be stated in a mix without 'parts'"),
         ({"densty": 2300}, "mix key = 'densty': must be one of density"),
         (SPREADING | {"density": 2.3},
-         "mix density = 2.3: must be in [1000, 5000] kg/m3; write units other than kg/m3 behind the"),
+         "mix density = 2.3: must be in [1000, 5000] kg/m3; write a unit other than kg/m3 behind the"),
         (SPREADING | {"density": "2300 kg/cm3"}, "'2300 kg/cm3': must be a number with one of the units kg/m3"),
         (SPREADING | {"spread": "60 mn"}, "mix spread = '60 mn': must be a number with one of the units m, mm, cm"),
         (SPREADING | {"spread": 600}, "mix spread = 600.0: must be in [0.35, 1.2] m"),
@@ -231,18 +231,18 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
          "mix parts = '20 kg/m3 of water': is too little for the powder"),
         (SPREADING | {"aggregate": 0.7}, "mix aggregate = 0.7: is 0.7 of the volume, more than the share 0.57"),
         (SPREADING | {"aggregate": "57 %"}, "is 0.57 of the volume, more than the share 0.57 that"),
-        (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume, below 1, or"),
+        (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume below 1, or"),
         (SPREADING | {"aggregate": "1900 kg/m3"}, "is 0.717 of the volume, more than the share 0.57"),
-        (SPREADING | {"aggregate": "0.4", "density": 1700}, "mix density = 1700.0: leaves 1067 kg/m3 for the density"),
+        (SPREADING | {"aggregate": "0.4", "density": 1700}, "mix density = 1700.0: implies a density of the mortar"),
         (SPREADING | {"parts": {"cement": 300, "water": 200}}, "= 2300.0: contradicts 'parts', which add up to 500"),
         (SPREADING | {"sieve": {4: 0, 8: 0.6, 12: 0.5, 16: 1}}, "falls from 0.6 at 8 mm to 0.5 at 12 mm"),
-        (SPREADING | {"sieve": {4: 0.1, 16: 1}}, "must rise from 0 to 1"),
-        (SPREADING | {"sieve": {0.063: 0, 4: 0.4, 16: 1}}, "begins below 1 mm, but sand belongs to the mortar"),
+        (SPREADING | {"sieve": {4: 0.1, 16: 1}}, "must have shares that rise from 0 to 1"),
+        (SPREADING | {"sieve": {0.063: 0, 4: 0.4, 16: 1}}, "begins below 1 mm, but sand is simulated as part of"),
         (SPREADING | {"sieve": {16: 0, 4: 1}}, "must have increasing openings above 0"),
-        (SPREADING | {"sieve": {4: 0, 16: 1}, "sizes": [0.004, 0.016]}, "is given together with 'sieve'"),
+        (SPREADING | {"sieve": {4: 0, 16: 1}, "sizes": [0.004, 0.016]}, "cannot be combined with 'sieve'"),
         (SPREADING | {"sizes": [5, 20]}, "largest of mix sizes = 20.0: must be in [0.001, 0.3] m; write"),
         (SPREADING | {"shape": "pointy"}, "mix shape = 'pointy': must be one of spheres, round"),
-        (SPREADING | {"mortar": {"viscosity": 9}}, "needs the share of coarse aggregate in the concrete"),
+        (SPREADING | {"mortar": {"viscosity": 9}}, "needs 'aggregate', the share of coarse aggregate"),
         (BULK | {"aggregate": 0.36, "mortar": {"viscosity": "40 Pa s", "uncertainty": 0.1}},
          "mix viscosity = '40 (36 to 44) Pa s from concrete': contradicts 158 (134 to 280) Pa s from mortar"),
         (BULK | {"aggregate": 0.3, "mortar": {"density": 2600}}, "but the density of the mortar is given as 2600"),
@@ -251,7 +251,7 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
         (BULK | {"layer": {"viscosity": 900}}, "must have 'yield_stress' and 'viscosity', or 'points', or"),
         (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
         (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be the diameter"),
-        (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have two or more different values"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have points at two or more different values of 'speed'"),
         (BULK | {"layer": {"tribometer": [[-0.1, 50], [0.2, 90]]}}, "must be 0 or more"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.2, -90]]}}, "must be 0 or more"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}},
@@ -273,7 +273,7 @@ def test_contradictory_and_empty_mixes_are_refused_in_one_line(tmp_path, section
 @pytest.mark.parametrize(
     ("section", "says"),
     [
-        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated together with"),
+        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated if the mix"),
         ({"viscometer": [[2, 140], [5, 260]], "concrete": {"flow_index": 1.3}}, "mix viscosity = None: must be stated"),
         ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 9}}, "mix concrete: flow_index = 9.0: is"),
         ({"spread": 0.6, "layer": {"flow_index": 0.7}}, "mix layer = {'flow_index': 0.7}: must have 'yield_stress'"),

@@ -164,7 +164,7 @@ targets:
         (("2%", "1.2.3%"), "uncertainty = '1.2.3%'"),
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
         (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; must be one of"),
-        (("quantity: pressure, ", ""), "has no quantity; add what is missing"),
+        (("quantity: pressure, ", ""), "has no quantity; add the missing entries"),
         (("value: 12e3", "value: .nan"), "line 4: has .nan, which is not a finite number"),
         (("value: 12e3", "value: high"), "target 1 value = 'high'"),
         (("2%", "-2%"), "uncertainty = '-2%': must be a number above 0"),

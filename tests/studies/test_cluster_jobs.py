@@ -202,7 +202,7 @@ def test_workers_answer_for_their_machines():
     assert [queued.device(each) for each in (None, "cuda:2")] == ["cpu", "cuda"]
     assert here.hardware("cuda:1") == "one" and client.asked == ("hardware", "cuda")
     client.models = {"a": "one", "b": "another"}
-    with pytest.raises(WarpcreteError, match=r"has different kinds of workers \(another, one\)"):
+    with pytest.raises(WarpcreteError, match=r"has workers with different processors \(another, one\)"):
         here.hardware(None)
     assert here.ask(lambda a, b: a + b, 1, 2) == 3
     with pytest.raises(SceneError, match="is wrong"):
@@ -214,7 +214,7 @@ def test_settings_of_schedulers_that_contradict_each_other_are_refused():
         ((None, 2), "workers = 2: has no effect without a scheduler"),
         (("local", None, 2), "processes = 2: cannot be combined with a scheduler"),
         (("local", 0), "workers = 0"),
-        (("tcp://node1:8786", 2), "workers = 2: cannot be set for 'tcp://node1:8786'"),
+        (("tcp://node1:8786", 2), "workers = 2: cannot be set for the running scheduler 'tcp://node1:8786'"),
         (("lokal", None), "scheduler = 'lokal': must be one of local, slurm, or an address"),
     ):
         with pytest.raises(SceneError, match=said):

@@ -259,12 +259,12 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
     assert set(record["band_shares"]) == {"slip layer", "bends", "hoses"}
     wrong = CliRunner().invoke(cli, ["line", str(path), "--theory", "--pump-pressure", "85 kg"])
     assert "pump pressure = '85 kg': must be a number with one of the units Pa, bar" in str(wrong.exception)
-    for more, says in ((["--cells", "9"], "cells: has no effect without a simulation; add --simulate"),
+    for more, says in ((["--cells", "9"], "cells = 9: has no effect without a simulation; add --simulate"),
                        (["--theory", "--simulate"], "--theory: cannot be combined with --simulate")):  # fmt: skip
         refused = CliRunner().invoke(cli, ["line", str(path), *more])
         assert refused.exit_code == 2 and says in refused.output
     none = CliRunner().invoke(cli, ["line", str(path), "--method", "dem", "--practice"])
-    assert none.exit_code == 2 and "practice: has no effect with '--method dem'" in none.output
+    assert none.exit_code == 2 and "practice = True: has no effect with --method dem" in none.output
 
 
 def test_a_line_is_a_dataset_of_its_parts_and_places(monkeypatch):

@@ -167,7 +167,10 @@ def test_points_that_do_not_suffice_are_refused(points, says):
         ("place [m],pressure [bar]\n0,20\n", r"has no column 'flow'"),
         ("pressure [bar],flow [m3/h]\n20,20\n", r"must have one of the columns 'place' and 'part'"),
         ("place [m],part,pressure [bar],flow [m3/h]\n0,1,20,20\n", r"must have one of the columns 'place' and 'part'"),
-        ("place [m],distance [m],pressure [bar],flow [m3/h]\n0,0,20,20\n", r"'place' and 'distance', which mean the"),
+        (
+            "place [m],distance [m],pressure [bar],flow [m3/h]\n0,0,20,20\n",
+            r"'place' and a column 'distance', which mean the",
+        ),
         ("place [m],pressure [bar],flow [m3/h],note,note\n0,20,20,a,b\n", r"has the column 'note' twice"),
         ("place [m],pressure [bar],flow [m3/h]\n0,20,20,7\n", r"line 2: has 4 values where the header names 3 columns"),
         (
@@ -247,8 +250,8 @@ def test_the_command_fits_a_trial_line(tmp_path):
     assert pressure == pytest.approx(record["pressure"]["value"], rel=2e-3)
     assert pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 25 / 3600).pressure, rel=0.02)
     for more, says in (
-        (["--simulate"], "--fit: compares measurements with theory only"),
-        (["--method", "dem"], "--fit: compares"),
+        (["--simulate"], "is compared with theory, not with simulations"),
+        (["--method", "dem"], "is compared with theory, not with simulations"),
     ):
         refused = CliRunner().invoke(cli, [*call, *more])
         assert refused.exit_code == 2 and says in refused.output
@@ -412,7 +415,7 @@ def test_pressures_that_grow_along_the_line_are_refused():
         if fine:
             by_scatter(flat, TRUE, points)
         else:
-            with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: must be lower"):
+            with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: is too high compared"):
                 by_scatter(flat, TRUE, points)
 
 

@@ -232,7 +232,7 @@ def test_the_factor_of_bends_is_an_entry_of_a_line():
     [
         ({"factor": 2, "low": 1.5}, "both or none of 'low' and 'high'"),
         ({"low": 1.5, "high": 2}, "must have 'factor'"),
-        ({"factor": 2, "low": 2.5, "high": 3}, "must lie between its 'low' and 'high'"),
+        ({"factor": 2, "low": 2.5, "high": 3}, "'factor' must lie between 'low' and 'high'"),
         ({"factor": 2, "range": 3}, "bend_factor's key = 'range'"),
         (0, "bend_factor: factor = 0.0: must be in"), ("2 m", "bend_factor: factor = '2 m'"), ([2], "bend_factor"),
     ],

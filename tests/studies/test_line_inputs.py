@@ -29,7 +29,7 @@ def test_a_slump_and_a_straight_pipe_suffice(tmp_path):
     record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
     assert record["pressure"]["value"] == pytest.approx(friction + 2350 * 9.81 * 20, rel=1e-9)
     assert record["pressure_low"]["value"] < record["pressure"]["value"] / 1.4
-    assert "slump 180mm at 30 m3/h" in done.output and "20 mm in 125 mm is 0.16" in done.output
+    assert "slump 180mm at 30 m3/h" in done.output and "20 mm in a bore of 125 mm has the ratio 0.16" in done.output
     assert "bends, reducers and hoses are not counted" in done.output
     assert "alone says little about the slip layer: the parts of the mix give a better estimate" in done.output
 
@@ -84,13 +84,13 @@ def test_a_slump_replaces_the_concrete_of_a_file():
         (["--slump", "30mm", "--spread", "700mm", *PIPE], "contradicts 1480 (591 to 2110) Pa from slump of 30 mm"),
         (["--slump", "180mm", "--stone", "2mm", *PIPE], "stone = 0.002: must be at least 0.008 m"),
         (["--slump", "180mm", "--stone", "130mm", *PIPE], "largest_stone = 0.13: does not pass through part 1"),
-        (["--slump", "180mm", "--concrete", "no1", *PIPE], "slump: cannot be given together with --concrete"),
+        (["--slump", "180mm", "--concrete", "no1", *PIPE], "slump = '180mm': cannot be given together with --concrete"),
         (["--slump", "180mm", *PIPE, "--simulate"], "slump: a slump or spread alone is not enough for a simulation"),
         (
             ["--slump", "180mm", *PIPE, "--length", "190 l"],
             "length = '190 l': must be a number with one of the units m, mm",
         ),
-        (["burj-khalifa", "--length", "3 m"], "length: cannot be given together with the file of a line"),
+        (["burj-khalifa", "--length", "3 m"], "length = '3 m': cannot be given together with the file of a line"),
         (["--slump", "180mm", *PIPE, "--diameter", "0"], "diameter = 0.0: must be a finite number above 0 m"),
     ],
 )
@@ -98,3 +98,12 @@ def test_options_that_are_missing_or_impossible_are_told_in_one_line(words, says
     done = called(*words)
     text = str(done.exception) if done.exit_code == 1 else done.output
     assert done.exit_code != 0 and says in text
+
+
+def test_every_option_that_has_no_answer_without_a_flow_is_named(tmp_path):
+    options = ["--rest", "5 min", "--pump-pressure", "85 bar", "--pump-flow", "60 m3/h", "--pump-power", "110 kW",
+               "--practice", "--out", str(tmp_path / "out")]  # fmt: skip
+    done = called("--slump", "18cm", "--diameter", "125mm", "--length", "9m", *options)
+    needing = "--rest and --pump-pressure and --pump-flow and --pump-power and --practice and --out"
+    assert done.exit_code != 0 and done.output.strip().endswith(f"as in --flow '30 m3/h', or leave out {needing}")
+    assert not (tmp_path / "out").exists()

@@ -205,7 +205,7 @@ def test_sparse_inputs_are_refused_in_plain_words(site, tmp_path, entries, more,
 def test_a_slump_alone_is_too_little_for_the_rules_against_blocking():
     call = ["line", "--slump", "7 in", "--stone", "3/4 in", "--diameter", "5 in", "--length", "450 ft"]
     done = CliRunner().invoke(cli, [*call, "--flow", "40 yd3/h"])
-    assert "will it block? not enough is known of the concrete to say (6 unknown, 1 fine" in done.output
+    assert "will it block? too little is known about the concrete to say (6 unknown, 1 fine" in done.output
 
 
 def test_the_record_holds_the_longest_stop(site, tmp_path):

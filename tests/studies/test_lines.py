@@ -181,7 +181,7 @@ BEND = {"bend": {"to": "up", "radius": 0.5}}
         ({"parts": [{"straight": 1}, {"straight": {"length": 1, "diameter": "100 mm"}}]},
          r"^part 2, straight: diameter = '100 mm': differs from the diameter .* before it, 0\.125 m; put"),
         ({"parts": [{"straight": {"length": 5, "rise": 5}}]},
-         r"^part 1, straight: rise = 5: does not fit: as the line goes here, a part of 5 m rises by 0 m; put a bend"),
+         r"^part 1, straight: rise = 5: does not fit: in the direction of the line here, a part of 5 m rises by 0 m"),
         ({"parts": [BEND, BEND]}, r"^part 2, bend: to = 'up': is the direction that the line already"),
         ({"parts": [{"reducer": {"length": 1}}]}, r"^part 1, reducer = .*: has no 'to'"),
         ({"parts": [{"bend": {"radius": 1}}]}, r"^part 1, bend: to = None: must be one of up, down, left"),
@@ -359,7 +359,7 @@ def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
     done = CliRunner().invoke(cli, ["line", str(path), "--simulate", "--out", str(out)])
     assert done.exit_code == 130 and f"continue with the same command and --out {out}" in done.output
     other = CliRunner().invoke(cli, ["line", str(path), "--simulate", "--out", str(out), "--cells", "10"])
-    assert "contains the unfinished results of another line" in str(other.exception)
+    assert "contains the unfinished results of a line with other inputs" in str(other.exception)
 
 
 def test_two_segments_are_as_far_apart_as_geometry_says():

@@ -99,9 +99,9 @@ def test_runs_are_limited_to_what_is_named():
 def test_what_names_nothing_is_refused(tmp_path):
     with pytest.raises(SceneError, match="only = 'speed': must be one of literal, calibrated, stiff stones, equal"):
         reproduce("zhan", out=tmp_path / "out", only=["speed"])
-    with pytest.raises(SceneError, match="selects no runs; combine faceted pipe with units"):
+    with pytest.raises(SceneError, match="combine 'faceted pipe' with one of units"):
         reproduce("zhan", out=tmp_path / "out", only=["faceted pipe", "velocity"])
-    with pytest.raises(SceneError, match="has an effect for the paper zhan only"):
+    with pytest.raises(SceneError, match="has no effect for the paper 'xu', only for 'zhan'"):
         reproduce("xu", out=tmp_path / "out", only=["units"])
     with pytest.raises(RunFolderError, match="contains no results of a reproduction"):
         reproduce("zhan", out=tmp_path / "out", known=[tmp_path])

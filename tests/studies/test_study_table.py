@@ -128,7 +128,7 @@ def test_a_study_comes_back_with_its_runs(tmp_path):
     read = pandas.read_parquet(out / "study.parquet").set_index("case")
     pandas.testing.assert_frame_equal(read, whole, check_dtype=False)
     (out / "study.json").write_text('{"scene": "none"}', encoding="utf-8")
-    with pytest.raises(RunFolderError, match="names a scene that this version does not have"):
+    with pytest.raises(RunFolderError, match="does not exist in this version, which has"):
         warpcrete.load(out)
 
 

@@ -191,7 +191,7 @@ def test_the_command(tmp_path):
     for words, message in (
         (("trade", "channel", "--budget", "5 apples"), "must be a time such as 90s, 20min or 2h"),
         (("trade", "chanel"), "scene = 'chanel': must be one of"),
-        (("trade", "channel", "--spacing", "0.01", "0.02"), "takes one value"),
+        (("trade", "channel", "--spacing", "0.01", "0.02"), "must be a single value"),
         (("trade", "--resume", tmp_path), "is not the folder of a trade"),
         (("trade", "channel", "--resume", tmp_path / "t"), "continues with its own settings"),
     ):

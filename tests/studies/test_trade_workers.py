@@ -253,7 +253,7 @@ def test_what_it_refuses(alone, tmp_path):
             run_trade("channel", channel, base=COARSE, out=tmp_path / "t", device="cpu", **settings)
     assert not (tmp_path / "t").exists()
     differing = Cluster(SimpleNamespace(run=lambda *_: {"a": "one", "b": "another"}), "tcp://here:1", None)
-    with pytest.raises(WarpcreteError, match=r"has different kinds of workers \(another, one\)"):
+    with pytest.raises(WarpcreteError, match=r"has workers with different processors \(another, one\)"):
         differing.hardware("cpu")
     shutil.copytree(alone["channel"].folder, tmp_path / "t")
     record = json.loads((tmp_path / "t" / "trade.json").read_text(encoding="utf-8"))

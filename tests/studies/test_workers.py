@@ -12,12 +12,12 @@ import pytest
 from pumping import command, wait_until
 
 from warpcrete.core.errors import ConvergenceError, SceneError, WarpcreteError
-from warpcrete.studies import running
+from warpcrete.studies import running, workers
 from warpcrete.studies import study as studies
 from warpcrete.studies.calibration import calibrate
 from warpcrete.studies.cases import MAX_CASES, Case, cases_of
 from warpcrete.studies.study_result import Study
-from warpcrete.studies.workers import WorkerDied, WorkerPool
+from warpcrete.studies.workers import STOP, WorkerDied, WorkerPool
 
 HERE = "jobs"
 
@@ -44,6 +44,17 @@ def test_workers_answer_fail_and_die_without_harm_to_one_another():
         assert crew.run((HERE, "add"), (1, 1)) == (2, True)
         processes = [worker._process for worker in crew._workers]
     assert all(process.poll() is not None for process in processes)
+
+
+def test_a_worker_that_begins_after_the_others_were_stopped_is_told_before_its_job(monkeypatch):
+    messages = []
+    worker = SimpleNamespace(
+        send=messages.append, wait_until_ready=lambda: None, receive=lambda: ("done", False), end=lambda: None
+    )
+    monkeypatch.setattr(workers, "_Worker", lambda: worker)
+    with WorkerPool() as crew:
+        crew.stop()
+        assert crew.run("a job") == "done" and messages == [STOP, ("a job",)]
 
 
 @pytest.mark.posix
@@ -208,7 +219,7 @@ def test_a_lost_run_ends_a_calibration_instead_of_counting_as_a_bad_point(tmp_pa
     )
     monkeypatch.setattr(calibrate, "_run_group", lambda *rest: study)
     found = SimpleNamespace(folder=tmp_path, task=SimpleNamespace(groups=[[None]]), trials=[])
-    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs were lost for such reasons; run them again with"
+    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs were lost because a process died or the disk was"
     with pytest.raises(WarpcreteError, match=lost):
         calibrate.run_round(found, {}, 0, [], {}, lambda *rest: None, (0.0, 1.0))
     study.not_at_fault.clear()  # as of a case that fails by itself, whatever with

@@ -1,7 +1,7 @@
 """Command line of warpcrete: the `warpcrete` command, with one module for each larger subcommand.
 
-Modules here import every other package, and only the package `warpcrete` itself stands above them. Start with `main`,
-which lists the subcommands, and go on with `run` and `options`.
+Modules here may import every other package, and no other package imports them. To read the code, start with `main`,
+which lists the subcommands, and continue with `run` and `options`.
 """
 
 from .main import cli, main

@@ -17,17 +17,17 @@ def chosen(
 ) -> dict[str, Any]:
     """Return the parameters to change so that the run reaches the requested accuracy in the shortest time.
 
-    The parameters come from an earlier measurement of the trade-off between speed and accuracy. The measurement is in
-    the folder `trade`, or it is one of the measurements that come with the package. The function prints to stderr which
-    settings it chose, their expected error, and the conditions under which this error was not measured. Raises
-    :class:`click.UsageError` if no measured trade-off is available or `accuracy` is not a percentage.
+    The parameters come from an earlier measurement of the trade-off between speed and accuracy, which is in the folder
+    `trade` or comes with the package. The function prints the chosen settings and their expected error to stderr. It
+    also prints the parameters in which the scene differs from the measured scene, because the error may be larger
+    there. Raises :class:`click.UsageError` if no measurement is available or `accuracy` is not a percentage.
     """
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': has no effect without --accuracy; add, for example, --accuracy 5%")
     if trade is not None and not (trade / "trade.json").is_file():
         raise RunFolderError(
             f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
-            "trade.json); give such a folder"
+            "trade.json); give the folder of a trade"
         )
     try:
         part = float(accuracy.strip().removesuffix("%")) / 100

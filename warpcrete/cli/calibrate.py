@@ -60,7 +60,7 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
     if not (folder / RECORD).is_file():
         raise RunFolderError(
             f"resume = '{folder}': is not a folder made by 'warpcrete calibrate' (it contains no "
-            f"{RECORD}); give such a folder"
+            f"{RECORD}); give the folder of a calibration"
         )
     return resume_calibration(folder, modules, **settings)
 

@@ -15,7 +15,10 @@ DEVICES = ("cpu", "cuda")
 
 
 def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[CompletionItem]:
-    """Return the `known` names that begin with `incomplete`; with `files`, the shell also offers paths of files."""
+    """Return the names in `known` that begin with the typed text `incomplete`.
+
+    If `files` is true, the shell also offers paths of files.
+    """
     found = [CompletionItem(name) for name in known if name.startswith(incomplete)]
     return [*found, CompletionItem(incomplete, type="file")] if files else found
 
@@ -38,7 +41,7 @@ def concretes(incomplete: str) -> list[CompletionItem]:
 
 
 def mixes(incomplete: str) -> list[CompletionItem]:
-    """Complete a mix: return names of those concretes of the package that are described by their mix."""
+    """Complete a mix: return names of the package's concretes that have a mix, and let the shell add files."""
     return names([name for name in shipped() if concrete(name).mix], incomplete, files=True)
 
 
@@ -83,7 +86,10 @@ def compared(incomplete: str) -> list[CompletionItem]:
 
 
 def checked(incomplete: str) -> list[CompletionItem]:
-    """Complete a group or the name of a case of `warpcrete verify`; leave out names that a shell would split."""
+    """Complete the name of a case, or of a group of cases, of `warpcrete verify`.
+
+    Names that contain spaces or other characters with a meaning in a shell are left out.
+    """
     from ..verification import cases
 
     found = dict.fromkeys(hyphenated(name) for case in cases() for name in (case.group, case.name))

@@ -6,16 +6,16 @@ import sys
 
 
 class MessageStream(io.TextIOWrapper):
-    """Stream of the command that drops texts that the system cannot write, so that none of them ends a run.
+    """Output stream that ignores failed writes, so that a message that cannot be written does not end a run.
 
-    This happens if the terminal is closed, or if the file of a log lies on a full disk. The stream replaces standard
-    error, and standard output on a terminal. In a file or a pipe, standard output must be complete, so errors in
-    writing it are reported.
+    A write fails if the terminal was closed, or if the stream is redirected to a file on a full disk. The stream
+    replaces standard error, and also standard output if it is a terminal. If standard output is a file or a pipe, it
+    must be complete, so failed writes to it are still reported.
     """
 
     def __init__(self, stream: io.TextIOWrapper) -> None:
         super().__init__(stream.buffer, stream.encoding, stream.errors, line_buffering=True)
-        self._stream = stream  # Python closes the buffer as soon as nobody refers to the stream that owns it.
+        self._stream = stream  # Keep a reference: if the stream were deleted, Python would close its buffer.
 
     def write(self, text: str) -> int:
         """Write a text to the stream; drop it if the system cannot write it."""
@@ -26,23 +26,24 @@ class MessageStream(io.TextIOWrapper):
             return len(text)
 
     def flush(self) -> None:
-        """Write buffered texts to standard error; drop them if the system cannot write them."""
+        """Write the buffered text to the stream; drop it if the system cannot write it."""
         try:
             super().flush()
         except OSError:
             self._discard()
 
     def _discard(self) -> None:
-        """Send everything that follows to the null device."""
+        """Redirect the stream to the null device, which discards all later text."""
         sink = os.open(os.devnull, os.O_WRONLY)
         os.dup2(sink, self.fileno())
         os.close(sink)
 
 
 def prepare_streams() -> None:
-    """Make the output streams escape characters that the terminal cannot show.
+    """Prepare standard output and standard error, so that printing does not raise errors.
 
-    Messages on standard error, and texts for a terminal that is closed, no longer raise errors.
+    The streams escape characters that the terminal cannot show. Text is dropped if standard error cannot be written, or
+    if standard output was a terminal that is now closed (:class:`MessageStream`).
     """
     _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
@@ -55,9 +56,10 @@ def prepare_streams() -> None:
 
 
 def _open_closed_streams() -> None:
-    """Connect each standard stream that was closed by the parent process to the null device.
+    """Connect each standard stream that the parent process has closed to the null device.
 
-    Otherwise a file of the run gets the number of the stream, and libraries write their messages into it.
+    Otherwise, the next file that the run opens would get the file descriptor of the closed stream (0, 1 or 2), and
+    libraries would write their messages into this file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:

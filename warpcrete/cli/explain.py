@@ -14,12 +14,12 @@ ONE = {"device": str, "threads": int, "trade": Path}
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Print what memory, time step and run time a scene needs."""
+    """Print the memory, the time step and the run time that are expected for a scene."""
     scene, options = parsed(arguments)
     settings = single(options, ONE)
     fresh = options.pop("fresh", None)
     if fresh:
-        raise click.UsageError("--fresh: takes no value; leave out the text behind it")
+        raise click.UsageError(f"--fresh = {' '.join(fresh)}: takes no value; leave out the text behind --fresh")
     check_scene(scene, modules)
     values = parameter_values(modules[scene], options)
     for name, given in values.items():

@@ -57,7 +57,7 @@ class PlainCommand(click.Command):
 
 
 class Commands(PlainCommand, click.Group):
-    """Group of subcommands whose help page describes each subcommand in a whole sentence."""
+    """Group of subcommands; its help page describes each subcommand in a whole sentence."""
 
     command_class: type[click.Command] | None = PlainCommand
 
@@ -67,16 +67,17 @@ class Commands(PlainCommand, click.Group):
         return {name: summary((command and command.help) or "") for name, command in listed.items()}
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        # Click cuts these texts off at the end of the line.
+        # The method of Click would cut each description off at the end of the line.
         with formatter.section("Commands"):
             formatter.write_dl([(name, plain(text)) for name, text in self.descriptions(ctx).items()])
 
 
 class WordHelp(PlainCommand):
-    """Command whose own module parses the options, so that the options are part of its help text.
+    """Command whose help page takes the usage and the options from the help text.
 
-    The first sentence of the text ends with the usage in backticks. Blocks of lines that begin with `--` list options,
-    with two or more spaces in front of the meaning.
+    Click does not know the options of such a command, because the module of the command parses them itself. The first
+    sentence of the help text must end with the usage in backticks. The options must be listed in blocks of lines that
+    begin with `--`, with two or more spaces between an option and its meaning.
     """
 
     def format_usage(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

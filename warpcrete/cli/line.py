@@ -63,7 +63,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     given = line_inputs(line, settings)
     if settings["blocking"] is not None:
         if given.guessed:
-            raise click.UsageError("blocking: needs the file of a concrete; write a mix, and give it as --concrete")
+            raise click.UsageError(f"blocking = {settings['blocking']}: needs the file of a concrete; write a mix "
+                                   "file, and give it as --concrete")  # fmt: skip
         out = out or next_folder("line")
     requested = simulate or method != "flow"
     at_once = theory or given.guessed or settings["fit"] is not None
@@ -74,7 +75,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     needed = () if settings["blocking"] is None else ("device", "threads")
     for name, usual in () if requested or unknown else FLOW_OPTIONS.items():
         if name not in needed and settings[name] != usual:
-            raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
+            raise click.UsageError(f"{name} = {settings[name]}: has no effect without a simulation; add --simulate, or "
+                                   f"leave out --{name}")  # fmt: skip
     if requested or unknown:
         if _simulated(given, method, out, stop, settings, unless_known=not requested):
             raise SystemExit(CHECK_FAILED)
@@ -128,7 +130,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
 
 
 def _check_rest(stated: str | None) -> None:
-    """Refuse a time of rest without a unit that is too short for a stop, because it is most likely in minutes."""
+    """Refuse a time of rest that has no unit and is below `SHORTEST_REST`, because it is most likely in minutes."""
     number = amount("rest", stated, "s") if bare_number(stated) else 0.0
     if 0 < number < SHORTEST_REST:
         raise click.UsageError(f"rest: {number:g} without a unit is {number:g} s; did you mean '{number:g} min'? For "
@@ -136,7 +138,10 @@ def _check_rest(stated: str | None) -> None:
 
 
 def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, Any]) -> list[str]:
-    """Return the options among those that the user chose, such as '--rest', which have no answer without a flow."""
+    """Return the names of options that the user stated and that need a flow, such as '--rest'.
+
+    `out` is the folder for the result; the option `--out` counts only if it is not None.
+    """
     names = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
     chosen = [name for name in names if settings[name] is not None]
     chosen += [name for name, is_chosen in (("practice", settings["practice"]), ("out", out is not None)) if is_chosen]
@@ -146,7 +151,7 @@ def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, Any]) -> 
 def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]) -> list[str]:
     """Return lines of text with the pressure of a pump line, and its uncertainty, at usual flows.
 
-    `layer` contains the keyword arguments of :func:`.line_by_theory` for the uncertainty of the concrete.
+    `layer` describes the uncertainty of the concrete; it is passed to :func:`.line_by_theory` as keyword arguments.
     """
     unit, rates = USUAL_FLOWS[line.customary]
     found = [f"no flow is stated; pressure at the pump for usual flows (--flow '{rates[2]} {unit}' prints the whole "
@@ -169,19 +174,26 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
         raise click.UsageError("--theory: cannot be combined with --simulate; leave out --theory or --simulate")
     heavy = simulate or method != "flow"
     if settings["gauge"] is not None and settings["fit"] is None:
-        raise click.UsageError("gauge: has no effect without --fit; leave it out")
+        raise click.UsageError(
+            f"gauge = {settings['gauge']!r}: has no effect without --fit; leave out --gauge, or add --fit FILE"
+        )
     if settings["fit"] is not None and heavy:
-        raise click.UsageError("--fit: compares measurements with theory only; leave out --simulate and --method")
+        raise click.UsageError(
+            f"fit = '{settings['fit']}': is compared with theory, not with simulations; leave out --simulate and "
+            "--method"
+        )
 
     def changed(options: Mapping[str, Any]) -> list[str]:
         return [name for name, usual in options.items() if settings[name] != usual]
 
     only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
     for name in changed(only_dem) if method == "flow" else ():
-        raise click.UsageError(f"{name}: has no effect with --method flow; use --method both, or leave it out")
+        raise click.UsageError(f"{name} = {settings[name]}: has no effect with --method flow; use --method both, or "
+                               f"leave out --{name}")  # fmt: skip
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
-        raise click.UsageError(f"{name}: has no effect with '--method dem'; use '--method both', or leave out {name}")
+        raise click.UsageError(f"{name} = {settings[name]}: has no effect with --method dem; use --method both, or "
+                               f"leave out --{name.replace('_', '-')}")  # fmt: skip
     for name in ("layer_factor", "coarse", "stiffer"):
         if settings[name] is not None:
             check_limit(name, settings[name], "")
@@ -192,10 +204,10 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the uncertainty of the concrete, as keyword arguments of the functions that compute a line's pressure.
 
-    If the concrete has a mix and the option `--layer-factor` is missing, the argument is `variants`: a pair of
-    concretes for each cause of uncertainty, with the affected properties at the lower and at the upper ends of their
-    uncertainty bands. Otherwise the argument is `layer_factor`, the factor by which the resistance of the slip layer
-    may be wrong.
+    If the concrete has a mix and the user did not state `--layer-factor`, the result contains `variants`. These are two
+    concretes for each cause of uncertainty, whose affected properties are at the lower and at the upper ends of their
+    uncertainty bands. Otherwise, the result contains `layer_factor`, the factor by which the resistance of the slip
+    layer may be wrong.
     """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:
@@ -204,9 +216,10 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
-    """Return the error limit of the gauges [Pa] that an option states in % of the largest pressure, or as a pressure.
+    """Return the error limit of the gauges [Pa], or None if the option `--gauge` is missing.
 
-    The result is None if the option is missing.
+    The text `stated` is the value of the option: a pressure such as "1 bar", or a percentage of the largest pressure in
+    `taps`.
     """
     if stated is None:
         return None
@@ -220,9 +233,10 @@ def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
 
 
 def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:
-    """Return the concrete with its slip layer at the lower and the upper end of its band before a fit, or None.
+    """Return what is known of the slip layer before a fit: two concretes, or None.
 
-    Return None if the mix states the layer, because that layer may come from an earlier fit to the same pressures.
+    The slip layers of the two concretes are at the lower and at the upper end of the layer's uncertainty band. The
+    result is None if the mix states the layer, because that layer may come from an earlier fit to the same pressures.
     """
     if given.mix is not None and given.mix.given.layer != Layer():
         return None
@@ -254,7 +268,7 @@ def _simulated(
 
 @contextmanager
 def _interruptible(folder: Path | None) -> Iterator[None]:
-    """If Ctrl-C interrupts the `with` block, print how to continue and exit with the exit code of an interruption."""
+    """Handle Ctrl-C in a `with` block: print how to continue, and exit with the exit code of an interruption."""
     try:
         yield
     except KeyboardInterrupt:
@@ -266,11 +280,12 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
 def _finish(
     said: Sequence[str], line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]
 ) -> None:
-    """Print the text `said` about a pump line, its other slip layers, and the verdicts of rules against blocking.
+    """Print the report on a pump line, and write it to the file line.md in `folder`.
 
-    All that is printed is first written to the file line.md in `folder`, so that this file is complete even if no
-    program reads the output. With `--blocking`, the probability of a blockage is then simulated, printed and added to
-    the file.
+    The report consists of the lines of text in `said`, the pressures for other estimates of the slip layer, and the
+    verdicts of the rules against blocking. The file is written before the report is printed, so that it is complete
+    even if the output cannot be written. With `--blocking`, the probability of a blockage is then simulated, printed
+    and added to the file.
     """
     said = [*said, *([] if settings["fit"] is not None else _other_layers(line, given)), "",
             *_rules(line, given.mix, folder)]  # fmt: skip
@@ -286,7 +301,7 @@ def _finish(
 
 
 def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
-    """Return lines of text that state, for each further estimate of the slip layer, the pressure by theory."""
+    """Return lines of text on the other estimates of the slip layer that the mix allows, with the pressure for each."""
     found = []
     for eta, tau in () if given.mix is None else given.mix.other_layers:
         assert given.mix is not None and given.flow is not None

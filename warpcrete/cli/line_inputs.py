@@ -71,7 +71,8 @@ class LineInputs:
 def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
     """Return the line, concrete and flow that the options of the command describe.
 
-    Raises :class:`SceneError` for an impossible value, and `click.UsageError` for a missing or superfluous option.
+    Raises :class:`SceneError` for an impossible value, and `click.UsageError` if an option is missing or contradicts
+    another option.
     """
     given = _straight(settings) if line is None else _from_file(line, settings)
     given = _with_pump(given, {key: settings[f"pump_{key}"] for key in ("pressure", "flow", "power")})
@@ -106,7 +107,8 @@ def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
     """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise`, which replace a file."""
     for name in SHAPE:
         if settings[name] is not None:
-            raise click.UsageError(f"{name}: cannot be given together with the file of a line; leave out one of them")
+            raise click.UsageError(f"{name} = {settings[name]!r}: cannot be given together with the file of a line; "
+                                   f"leave out --{name}, or the file")  # fmt: skip
     return read_line(line)
 
 
@@ -134,9 +136,9 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
     if not cones:
         return None
     if settings["concrete"] is not None:
-        raise click.UsageError(
-            f"{next(iter(cones))}: cannot be given together with --concrete; state it in the file of the concrete"
-        )
+        name, value = next(iter(cones.items()))
+        raise click.UsageError(f"{name} = {value!r}: cannot be given together with --concrete; state the {name} in the "
+                               "file of the concrete")  # fmt: skip
     entries: dict[str, Any] = {"density": DENSITY, **cones}
     if stone is not None:
         if stone < 2 * SMALLEST:

@@ -24,12 +24,11 @@ def run(
     given: LineInputs, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
     settings: Mapping[str, Any], finish: Callable[[list[str]], None], unless_known: bool = False,
 ) -> bool:  # fmt: skip
-    """Simulate a line, tell `finish` its pressure, and return True if a simulated part failed a check.
+    """Simulate a line, call `finish` with the report, and return True if a simulated part failed a check.
 
     `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
     the command by name. With `unless_known`, only parts whose friction cannot be found without a simulation are
-    simulated. The function calls `finish` with the text of the result, so that `finish` may write into
-    the line's folder while no other process can.
+    simulated. The line's folder is still locked when `finish` is called, so `finish` may write into it.
     """
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None

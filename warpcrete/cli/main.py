@@ -55,7 +55,10 @@ def list_scenes() -> None:
 @cli.group("run", cls=LazyGroup, invoke_without_command=True, context_settings={"max_content_width": 110})
 @click.option("--resume", type=PATH, help="Continue the interrupted run in this folder")
 @click.option(
-    "--live", is_flag=False, flag_value="spawn", help="With --resume: watch the run in a Rerun viewer, as for a scene"
+    "--live",
+    is_flag=False,
+    flag_value="spawn",
+    help="With --resume: watch the run in a new Rerun viewer, or in a running one if its URL is given",
 )
 @click.option("--bind", default="127.0.0.1", help="With --live: IP address that the viewer listens on")
 @click.option("--quiet", is_flag=True, help="With --resume: show no progress bar")
@@ -72,7 +75,8 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
     if context.invoked_subcommand is not None:
         if resume is not None or live is not None or quiet:
             raise click.UsageError(
-                "--resume, --live, --quiet: must follow the scene's name; move these options behind the name"
+                "--resume, --live, --quiet: must follow the scene's name; write, for example, 'warpcrete run pipe "
+                "--quiet'"
             )
     elif resume is None:
         click.echo(context.get_help())
@@ -82,7 +86,7 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
 
 
 class TheoryCommand(GroupedCommand):
-    """Command that has one option for each parameter of flow scenes that the closed form uses."""
+    """Command `theory`, which has an option for each scene parameter that enters the closed-form solution."""
 
     common = ("flow", "pressure", "fit", "rest")
     title = "Flow and pressure."
@@ -102,10 +106,10 @@ class TheoryCommand(GroupedCommand):
 @click.option("--fit", type=PATH, help="CSV file of flows and pressures measured in this pipe, "
               "with a first line such as 'flow [m3/h],pressure [bar]', to which the slip layer is fitted")  # fmt: skip
 @click.option("--rest", type=TIME, help="Time that the concrete has stood still [s], or with a unit such as '10 min'; "
-              "adds the pressure of the restart")  # fmt: skip
+              "also prints the pressure that restarts the flow")  # fmt: skip
 @click.option("--thixotropy", type=GROWTH, help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
-@click.option("--segregation", multiple=True, help="Difference of the aggregate's share between the outer "
-              "and the inner half of the radius, divided by its mean share; adds its effect on the pressure; may be "
+@click.option("--segregation", multiple=True, help="Aggregate's share in the outer half of the radius minus its share "
+              "in the inner half, divided by its mean share; also prints the effect on the pressure; may be "
               "repeated")  # fmt: skip
 @click.option("--aggregate", help="Share of aggregate in the volume, for --segregation  [default: that of the mix]")
 @click.pass_context
@@ -135,8 +139,8 @@ def theory(
 
 @cli.command("view")
 @click.argument("run", type=PATH)
-@click.option("--web", is_flag=True, help="Show it in a browser, at the printed address, until Ctrl-C; the default "
-              "on a machine without a screen")  # fmt: skip
+@click.option("--web", is_flag=True, help="Show the recording in a browser, at the printed address, until Ctrl-C; the "
+              "default on a machine without a screen")  # fmt: skip
 @click.option("--bind", default="127.0.0.1", show_default=True, help="IP address that the viewer listens on; 0.0.0.0 "
               "lets every machine connect that can reach this one")  # fmt: skip
 def view_run(run: Path, web: bool, bind: str) -> None:
@@ -248,7 +252,8 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--flow", type=FLOW, help="Volume flow, instead of the line's, such as '30 m3/h'")
 @click.option("--simulate", is_flag=True, help="Simulate each kind of part as a flow, which takes seconds to minutes, "
               "instead of the answer by theory and by factors of earlier simulations")  # fmt: skip
-@click.option("--theory", is_flag=True, help="Answer by theory, as without --simulate")
+@click.option("--theory", is_flag=True, help="Answer by theory, and simulate no part, not even one that is sharper "
+              "than all parts in the table of simulated parts")  # fmt: skip
 @click.option("--fit", type=PATH, help="CSV file of pressures along a trial line, with a first "
               "line such as 'place [m],pressure [bar],flow [m3/h]', to which the slip layer and the factor of bends "
               "are fitted")  # fmt: skip
@@ -266,12 +271,13 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--shapes", default="spheres", show_default=True, help="Shapes of the elements, as for the scene 'pipe'; "
               "use 'reference' for a concrete with a slip layer but no wall friction, because spheres roll along the "
               "layer")  # fmt: skip
-@click.option("--coarse", type=float, help="Factor by which the elements are enlarged  [default: such that the largest "
-              "is 0.3 of the narrowest bore]")  # fmt: skip
-@click.option("--stiffer", type=float, default=5.0, show_default=True, help="Factor on the modulus of the elements: "
-              "stiff elements need more steps, soft elements stay compressed for longer")  # fmt: skip
-@click.option("--seeds", type=int, default=1, show_default=True, help="Number of random packings of elements, whose "
-              "scatter gives a band")  # fmt: skip
+@click.option("--coarse", type=float, help="Factor by which the elements are enlarged  [default: the largest element "
+              "becomes 0.3 times as wide as the narrowest bore]")  # fmt: skip
+@click.option("--stiffer", type=float, default=5.0, show_default=True, help="Factor by which the elastic modulus of "
+              "the elements is multiplied: stiff elements need more steps, soft elements stay compressed for "
+              "longer")  # fmt: skip
+@click.option("--seeds", type=int, default=1, show_default=True, help="Number of random packings of elements; their "
+              "scatter gives the band of the pressure")  # fmt: skip
 @click.option("--out", type=PATH, help="New folder for the result  [default: runs/line-NNN for "
               "a simulation, none for an answer by theory]")  # fmt: skip
 @click.option("--known", type=PATH, help="Folder of an earlier line, finished or interrupted, "
@@ -280,11 +286,11 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--threads", type=click.IntRange(1, 1024), help="Number of threads on a CPU, up to the number of cores  "
               "[default: all cores]")  # fmt: skip
 @click.option("--rest", type=TIME, help="Time that the full line has stood still [s], or with a unit such as '10 "
-              "min'; adds the theoretical pressure of the restart")  # fmt: skip
+              "min'; also prints the pressure, by theory, that restarts the line")  # fmt: skip
 @click.option("--thixotropy", type=GROWTH, help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5, "
               "and a band of 0.1 to 1]")  # fmt: skip
 @click.option("--pump-pressure", type=PRESSURE, help="Largest pressure of the pump on the concrete, from its data "
-              "sheet, such as '85 bar'; shows the margin")  # fmt: skip
+              "sheet, such as '85 bar'; also prints the margin")  # fmt: skip
 @click.option("--pump-flow", type=FLOW, help="Largest flow of the pump, such as '90 m3/h'")
 @click.option("--pump-power", type=POWER, help="Power of the pump's motor, such as '110 kW'")
 @click.option("--practice", is_flag=True, help="Compare the result with the rules of AIJ, JSCE and JGJ/T 10")
@@ -347,7 +353,11 @@ def _fail(text: str, code: int) -> NoReturn:
 
 
 def _unknown_option(error: click.NoSuchOption, text: str) -> str:
-    """Return the message for an unknown option: `text`, or one that names an option of the same purpose."""
+    """Return the message for an unknown option.
+
+    If the command has another option for the same purpose, or the option was renamed, the message names that option.
+    Otherwise the message is `text`.
+    """
     wrong = error.option_name[2:].replace("-", "_")
     known = [] if error.ctx is None else [f"--{each.name}" for each in error.ctx.command.params]
     if (name := RENAMED.get(wrong)) is not None:
@@ -388,7 +398,7 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        # End the process after a time limit, because libraries may wait without end for space on the full disk.
+        # Kill the process after a time limit, because libraries may wait for disk space forever.
         if isinstance(error, DiskFullError):
             end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True

@@ -1,4 +1,4 @@
-"""Command `warpcrete mix`: properties that follow from a mix, and a file that states them instead of the mix."""
+"""Command `warpcrete mix`: print the properties that follow from a mix, and write them to a concrete's file."""
 
 import warnings
 from dataclasses import replace
@@ -59,14 +59,15 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
 def plain(name: str, mix: Mix) -> dict[str, object]:
     """Return the contents of a concrete's file, with the sections `elements` and `flow` calculated from a mix.
 
-    Discrete elements know only slip layers that obey Bingham's law. If the slip layer obeys another law, and the mix
-    states no slip layer for discrete elements, the section `elements` is missing.
+    The discrete element method can simulate only slip layers that obey Bingham's law. If the slip layer obeys another
+    law, and the mix states no separate slip layer for discrete elements, the section `elements` is left out.
     """
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
     found: dict[str, object] = {"name": mix.name, "source": source}
     if mix.concrete.layer_law.name == BINGHAM or {"layer_yield", "layer_viscosity"} <= set(mix.elements):
         with warnings.catch_warnings():
-            # The mix was read before, with its own warnings, and a remark says that it has no sieve curve.
+            # Do not repeat the warnings that were shown when the mix was read. A remark already says that the sieve
+            # curve is missing.
             warnings.simplefilter("ignore", PlausibilityWarning)
             found["elements"] = dict(PipeParameters.implied({"concrete": name}))
     return found | {"flow": {key: getattr(mix.concrete, key) for key in mix.flow}}

@@ -1,4 +1,4 @@
-"""Types of options whose values the shell completes; the values are listed only when the shell asks for them."""
+"""Types of options whose values a shell completes. The possible values are determined only during a completion."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from .scene_commands import load
 class Completed(click.ParamType):
     """Type of a text option whose value the shell completes.
 
-    `by` is the name of a function in the module `completion`, which returns the possible values. The function is called
+    `by` is the name of a function in the module `completion` that returns the possible values. The function is called
     with the arguments in `first`, followed by the text that the user has typed so far.
     """
 

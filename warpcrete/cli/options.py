@@ -1,4 +1,4 @@
-"""Command-line options that are built from declared parameters, and options that every run has."""
+"""Command-line options of scenes: one for each parameter that a scene declares, and those that every run has."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, replace
@@ -19,7 +19,7 @@ from .option_types import AmountOption
 
 
 class SceneCommand(GroupedCommand):
-    """Command of a scene. Some options of the command add others: `--contact LAW` adds the options of that law."""
+    """Command that runs a scene. A contact law chosen with `--contact LAW` adds the options of this law."""
 
     def __init__(self, name: str, scene: Any, **settings: Any) -> None:
         super().__init__(name, **settings)
@@ -90,7 +90,7 @@ def quantity_of(value: Any, field: Field, called: str) -> float:
     The value is a number, or a text such as "125 mm". `called` is the name of the option in error messages.
     """
     if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
-        return float(value)  # Accept NaN and infinity here, because the check of the parameter refuses them later.
+        return float(value)  # NaN and infinity are refused later, when the parameter is checked.
     return amount(called, value, field.units)
 
 
@@ -166,15 +166,15 @@ def run_options() -> list[click.Parameter]:
                      "[default: force for aggregates; for flows shear with a free surface, phase with two phases, "
                      "else speed]"),
         click.Option(["--network"], is_flag=True,
-                     help="Record bonds, and force chains with a width by contact force"),
+                     help="Record bonds and force chains; the width of a chain shows its contact force"),
         *(
             click.Option([f"--{kind.name}/--no-{kind.name}"], default=kind.default, show_default=True, help=kind.help)
             for kind in RECORDERS
         ),
         click.Option(["--accuracy"],
                      shell_complete=lambda ctx, param, incomplete: completion.accuracies(incomplete),
-                     help="Use the fastest settings whose error is at most this, such as 5%, according to --trade "
-                         "or to a trade of the package"),
+                     help="Use the fastest settings whose error is at most this value, such as 5%, according to the "
+                         "trade of --trade or to one that comes with the package"),
         click.Option(["--trade"], type=click.Path(path_type=Path),
                      help="Folder of a 'warpcrete trade' of this scene, for --accuracy"),
         click.Option(["--pipeline-vertical"], type=AmountOption("m"),

@@ -27,7 +27,7 @@ def run(
             if not (resume / RECORD).is_file():
                 raise RunFolderError(
                     f"resume = '{resume}': is not a folder made by 'warpcrete reproduce' (it contains "
-                    f"no {RECORD}); give such a folder"
+                    f"no {RECORD}); give the folder of a reproduction"
                 )
             found = resume_reproduction(resume, processes=processes, progress=tell)
         elif paper is None:

@@ -43,12 +43,12 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
             f"resume = '{folder}': the run is already finished; start a new run with another folder for --out"
         )
     settings = dict(record.get("command", {}))
-    # Output (recorders) that the interrupted run did not write must stay off, even if it is on by default.
+    # A recorder that was off in the interrupted run must stay off, even if it is on by default.
     settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(SETTINGS):
         raise RunFolderError(
-            f"'{folder / 'scene.json'}': was not written by 'warpcrete run', which therefore cannot continue the run; "
-            "continue a case of a study with 'warpcrete study --resume'"
+            f"'{folder / 'scene.json'}': belongs to a run that was not started with 'warpcrete run', so this command "
+            "cannot continue it; continue the cases of a study with 'warpcrete study --resume FOLDER'"
         )
     if settings["threads"] > default_threads():
         here, there = default_threads(), settings["threads"]
@@ -114,8 +114,8 @@ def run(
         except KeyboardInterrupt:
             if there:
                 raise RunFolderError(
-                    f"resume = '{folder}': was interrupted before the run continued; no results were lost, so use "
-                    "the same command again"
+                    f"resume = '{folder}': Ctrl-C ended the command before the run continued; no results were lost, so "
+                    "repeat the command"
                 ) from None
             raise
         with StopAtSample([simulation]):
@@ -133,10 +133,10 @@ def run(
 
 
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """Check the options that request an estimate of a whole pipeline's pressure.
+    """Check the options for the pressure of a whole pipeline, and return the result of the run that they refer to.
 
-    The estimate also needs the run of a straight pipe in the other direction, vertical or horizontal. Return the
-    contents of result.json in the folder of that run, which the option `pipeline_other` names, or None without it.
+    The option `pipeline_other` names the folder of an earlier run of a straight pipe in the other direction, vertical
+    or horizontal. The return value is the contents of result.json in that folder, or None without the option.
     """
     lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
     for field, value in lengths.items():
@@ -171,7 +171,8 @@ class PipelineRecorder(Recorder):
                 estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
             except Exception as error:
                 reason = one_line(str(error) if isinstance(error, WarpcreteError) else repr(error))
-                warnings.warn(f"the run is complete, but the pipeline's pressure is not known: {reason}", stacklevel=2)
+                text = f"the run is complete, but the pressure of the whole pipeline was not computed: {reason}"
+                warnings.warn(text, stacklevel=2)
                 return
             if estimate is not None:
                 run.result["pipeline_estimate"] = estimate

@@ -103,7 +103,10 @@ class LazyGroup(Commands):
 
 
 class WordCommand(WordHelp):
-    """Command whose words (scene, parameters and options) are parsed by its own module; shells complete the words."""
+    """Command that passes its words (scene, parameters and options) to its own module, which parses them.
+
+    A shell can still complete the words, with the functions of the module `word_completion`.
+    """
 
     def __init__(self, name: str, **settings: Any) -> None:
         words = click.Argument(["arguments"], nargs=-1, type=click.UNPROCESSED, shell_complete=_complete_word)
@@ -155,9 +158,10 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
 
 
 def _method_options(name: str) -> list[click.Parameter]:
-    """Return the option `--method` for the help page and for shells, if several methods can simulate the test.
+    """Return a list with the option `--method`, or an empty list if only one method can simulate the scene.
 
-    The function :func:`by_method` has already removed this option from the words when the command is parsed.
+    The option serves the help page and completion in a shell only, because :func:`by_method` removes it from the words
+    before the command is parsed.
     """
     methods = importlib.import_module("warpcrete.scenes").methods(name)
     meanings = {
@@ -171,7 +175,7 @@ def _method_options(name: str) -> list[click.Parameter]:
 
 
 def help_text(docstring: str) -> str:
-    """Return a docstring as the help text of a command: sentences on Python exceptions are left out."""
+    """Return the help text of a command from a docstring, without sentences on Python exceptions."""
     kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
     return re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
 

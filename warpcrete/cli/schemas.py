@@ -1,4 +1,4 @@
-"""JSON schemas of the files that users write, with which editors complete and check such files.
+"""JSON schemas of the files that users write. Editors use the schemas to complete and check such files.
 
 `tests/studies/schema_builder.py` derives the schemas from the declarations that also check these files.
 """

@@ -131,7 +131,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
     for name in kinds.keys() & options.keys():
         values = options.pop(name)
         if len(values) != 1:
-            raise click.UsageError(f"--{name}: takes one value; write one value behind it")
+            raise click.UsageError(f"--{name}: needs one value, but has {len(values)}; write one value behind --{name}")
         found[name] = converted(name, values[0], kinds[name])
     return found
 
@@ -216,7 +216,10 @@ def _new_study(
 
 
 def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
-    """Return a scene's parameters by name, including the parameters of contact laws named in `options`."""
+    """Return a scene's parameters by name, including the parameters of the contact laws that the user chose.
+
+    `options` maps the name of each option to its words; the words of an option such as `contact` name contact laws.
+    """
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
         found[name] = field
@@ -228,9 +231,10 @@ def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]
 def parameter_values(
     module: Any, options: dict[str, list[str]], settings: tuple[str, ...] = ()
 ) -> dict[str, list[Any]]:
-    """Return the values of the scene's parameters that `options` gives as words, by the parameters' names.
+    """Convert the words in `options` to values of the scene's parameters, and return these lists of values by name.
 
-    The refusal of an unknown parameter may suggest one of `settings`, the related options of the command.
+    If `options` names an unknown parameter, the error message may suggest a parameter, or one of the command's other
+    options, whose names are in `settings`.
     """
     known = fields_of(module, options)
     found: dict[str, list[Any]] = {}

@@ -3,9 +3,9 @@
 MIX_HELP = """Derive the properties of a concrete from its mix: `warpcrete mix MIX.yaml`.
 
 The command prints a table of yield stress, viscosity, slip layer, mortar and aggregate sizes: each value with its
-uncertainty band, the entry of the mix from which it is derived, and the source of the formula. It also prints what the
-rules of practice say about blocking: fine, risky, blocks, or which entry would answer. The option --concrete of other
-commands accepts the file.
+uncertainty band, the entry of the mix from which it is derived, and the source of the formula. It also prints the
+verdict of each rule of practice on blocking: fine, risky, blocks, or unknown, with the entry that the rule needs. The
+option --concrete of other commands accepts the file.
 
 \b
   mix:
@@ -18,7 +18,7 @@ commands accepts the file.
     # concrete: {yield_stress: 60 Pa, viscosity: 40 Pa s, uncertainty: 15 %}      # the same keys for mortar
     # concrete: {yield_stress: 60 Pa, viscosity: 30 Pa s, flow_index: 1.3}        # or quadratic_viscosity: 0.5 Pa s2
     # viscometer: [[5, 210], [20, 660]]  # shear rate [1/s] and stress [Pa], or a .csv file
-    voids: 24 %                          # voids of sand and stones together; fine_sand: 18 % of it is below 0.3 mm
+    voids: 24 %                          # voids of sand and stones together; fine_sand: 18 % (sand below 0.3 mm)
     layer: {yield_stress: 20 Pa, viscosity: 900 Pa s/m}                           # slip layer; or one of:
     # layer: {points: points.csv, diameter: 125 mm, length: 12 m}                 # flows and pressures of a pipe
     # layer: {tribometer: [[0.2, 110], [0.4, 190]]}                               # slip velocity [m/s], stress [Pa]
@@ -91,8 +91,8 @@ answer.json, concrete.yaml (for --concrete), and all runs.
 \b
   --trials N             maximum number of trials, each of which runs all scenes; coarse trials at the beginning
                          and runs that verify the answer do not count    [default: 10 + 10 per parameter]
-  --batch N              number of trials in a round; half of it after coarse trials, which are twice as many
-                                                                         [default: 4 + 2 per parameter]
+  --batch N              number of trials in a round; a coarse round at the beginning has twice as many, and each
+                         round after it half as many                     [default: 4 + 2 per parameter]
   --repeat N             number of seeds of the final check              [default: 3]
   --seed N               seed of the search                              [default: 0]
   --out FOLDER           new folder                                      [default: runs/calibration-NNN]
@@ -131,8 +131,8 @@ can reuse with --known. Two lines are shipped: burj-khalifa and shanghai-tower.
     - reducer: {to: 100 mm, length: 1 m}
     - hose: {points: [[1, 0, -0.2], [2, 0.5, -1]]}    # relative to its start: ahead, left, up [m]
     - bend: level                 # radius 0.5 m, or two diameters if these are larger
-    - valve: {equivalent: 20 m}   # as much friction as 20 m of straight pipe; any part may state it
-    - hose: {length: 4 m, factor: 2.5}            # or its friction over that of straight pipe of its length
+    - valve: {equivalent: 20 m}   # as much friction as 20 m of straight pipe; any part may have this entry
+    - hose: {length: 4 m, factor: 2.5}            # or its friction divided by that of straight pipe of its length
     - bore: {file: valve.stl, scale: 0.001, length: 0.6, outlet: 100 mm}
     - straight: 5 m
 
@@ -151,8 +151,8 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
 EXPLAIN_HELP = """Estimate the cost of a run beforehand: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
 
 The command prints the compiled features and why they are needed, the memory by part, the time step and what limits it,
-the number of steps and the wall time on this device, and the changes that would save most. It measures for some seconds
-and keeps the result in the user's cache.
+the number of steps and the wall time on this device, and the changes that would shorten the run most. It simulates the
+scene for a few seconds to measure this, and keeps the result in the user's cache.
 
 \b
   --trade FOLDER         folder of a 'warpcrete trade' of this scene, which gives the errors

@@ -74,11 +74,11 @@ def run(
 
     The rise in `given` is a text: a height with its unit, or the height per length.
 
-    `flows` [m3/s] and `pressures` [Pa] are the values for which the pressure or the flow is computed. If `fit` is a
-    file of measured flows and pressures, the slip layer is fitted to them first. `rest` is a time at rest [s], for
-    which the pressure of a restart is added. `segregation` holds segregation indices, whose effect on the pressure is
-    added; :class:`warpcrete.theory.segregated.Segregated` defines this index. `aggregate` is the volume fraction of
-    aggregate in the whole concrete.
+    The pressure is computed for each of the `flows` [m3/s], and the flow for each of the `pressures` [Pa]. If `fit` is
+    a file of measured flows and pressures, the slip layer is fitted to them first. With a time of `rest` [s], the
+    pressure for a restart after this time is also printed. With `segregation` indices, which
+    :class:`warpcrete.theory.segregated.Segregated` defines, their effect on the pressure is also printed. `aggregate`
+    is the volume fraction of aggregate in the whole concrete.
     """
     growth, rise = growth_of(rest, thixotropy), given.pop("rise", "1")
     known = fields()
@@ -90,7 +90,7 @@ def run(
         field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
-    # The fit below replaces the constants of the slip layer, so missing constants get the value 1 until then.
+    # The fit below determines the constants of the slip layer, so the value 1 of a missing constant has no effect.
     if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], thickness, **constants)
@@ -140,8 +140,9 @@ def _fitted(
 ) -> Concrete:
     """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit.
 
-    The points are flows [m3/s] and the pressures measured at these flows [Pa]. `factors` for age and temperature would
-    multiply the printed options in the next call, so the printed options are divided by these factors.
+    The points are flows [m3/s] and the pressures measured at these flows [Pa]. The constants of the layer are printed
+    as options for a later call. That call multiplies the options by the `factors` for age and temperature, so the
+    printed values are divided by these factors.
     """
     fit = measured_layer(concrete, line, flows, pressures)
     found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)

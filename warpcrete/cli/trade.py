@@ -50,7 +50,8 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
             for name, given in values.items():
                 if len(given) > 1:
                     raise click.UsageError(
-                        f"--{name}: takes one value; only the settings that --knob names are varied in a trade"
+                        f"--{name} = {', '.join(map(str, given))}: must be a single value, because a trade varies only "
+                        "the settings that --knob names; give one value"
                     )
             trade = run_trade(
                 scene, modules[scene], base={name: given[0] for name, given in values.items()}, progress=tell,

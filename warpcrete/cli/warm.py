@@ -25,29 +25,31 @@ from .study import parameter_values, parsed
 
 
 def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
-    """Compile the kernels of the scenes that `words` names, with their parameters, or of all scenes.
+    """Compile the kernels of the scenes that `words` names, or of all scenes if it names none.
 
-    A default scene whose kernels are known to be in the cache takes no time. Raises :class:`warpcrete.SceneError` for
-    an unknown scene, parameter or device before anything is compiled.
+    The names may be followed by parameters of the scenes. A scene without such parameters is skipped if all its kernels
+    are in the cache. Raises :class:`warpcrete.SceneError` for an unknown scene, parameter or device before anything is
+    compiled.
     """
     names, parameters = _scenes_and_parameters(words, modules)
     found = find_device(device)
     code = _code_hash()
     made = {name: modules[name].scene(**parameters) for name in names}
     for name, scene in made.items():
-        # A record does not depend on parameters or on the code of a user's contact law.
+        # Use no record if there are parameters: the record's name does not depend on parameters or on the code of a
+        # user's contact law, so the record of another run would be found.
         record = None if parameters else _record(name, Path(modules[name].__file__), found, code)
         if record is not None and _is_complete(record):
             click.echo(f"{name:12s} ready: an earlier call compiled its kernels, and all of them are in the cache")
             continue
         started = time.perf_counter()
         click.echo(f"{name:12s} begins; each kernel that is not in the cache is compiled")
-        # A forecast takes the first steps of a small copy of the scene, measures it and draws a frame, so it compiles
-        # all kernels of a run.
+        # The forecast `explain` simulates the first steps of a small copy of the scene, takes measurements and draws a
+        # frame. This compiles all kernels of a run.
         with kernel_files() as files:
             explain(scene, device=str(found), cache=False)
         if record is not None:
-            # A record that cannot be written is no error, because the kernels are ready without it.
+            # Ignore a record that cannot be written, because the kernels are ready without it.
             with suppress(OSError, RunFolderError):
                 _write_record(record, files)
         click.echo(f"{name:12s} {method_of(scene).name:10s} {time.perf_counter() - started:5.1f} s")
@@ -55,7 +57,7 @@ def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
 
 
 def _scenes_and_parameters(words: list[str], modules: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
-    """Return the names of scenes at the beginning of `words`, or all names, and the parameters that follow."""
+    """Return the names of scenes at the beginning of `words` (all scenes if there are none), and their parameters."""
     names = list(takewhile(lambda word: not word.startswith("-"), words))
     for name in names:
         check_scene(name, modules)
@@ -68,7 +70,8 @@ def _scenes_and_parameters(words: list[str], modules: dict[str, Any]) -> tuple[l
     _, options = parsed(words[len(names) :])
     for option, values in options.items():
         if len(values) > 1:
-            raise click.UsageError(f"--{option}: takes one value; write the names of scenes first")
+            raise click.UsageError(f"--{option} = {', '.join(values)}: must be a single value; write the names of "
+                                   "scenes before the parameters")  # fmt: skip
     values = {name: parameter_values(modules[name], options) for name in names}[names[-1]]
     return names, {name: several[0] for name, several in values.items()}
 

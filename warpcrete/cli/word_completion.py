@@ -1,4 +1,4 @@
-"""Completion for the commands whose words (scene, parameters and options) are parsed by their own modules."""
+"""Completion in a shell for commands such as `study`, whose own modules parse the scene, parameters and options."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -33,14 +33,14 @@ VALUES: Mapping[str, Sequence[str]] = {
 
 
 def words(command: str, given: Sequence[str], incomplete: str, context: click.Context) -> list[CompletionItem]:
-    """Return completions for a command whose words (scene, parameters and options) are parsed by its own module.
+    """Return completions for a command whose own module parses the scene, the parameters and the options.
 
-    `given` holds the words before `incomplete`, the word to be completed. The last option among them decides which
-    values are suggested, because an option of `study` may have several values.
+    `incomplete` is the word to be completed, and `given` holds the words before it. The last option in `given` decides
+    which values are suggested, even if values follow it, because an option of `study` may have several values.
     """
     last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
     if list(given[-2:-1]) == ["--method"]:
-        # The last complete word is the value of `--method`, so the word to be completed does not belong to this option.
+        # `--method` has one value, and this value is complete, so the word to be completed is not a further value.
         last = ""
     with suppress(click.UsageError, WarpcreteError):
         given = by_method(list(given))
@@ -71,7 +71,10 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
 
 
 def _knobs(module: Any, given: Sequence[str]) -> list[str]:
-    """Return the names of the settings that a trade may vary, for the parameters in the words `given`."""
+    """Return the names of the settings that a trade of the scene may vary.
+
+    The words `given` hold the scene's parameters, on which these settings depend.
+    """
     try:
         _, options = study.parsed(list(given))
         options = {name: each for name, each in options.items() if name not in (*trade.ONE, *trade.SEVERAL)}

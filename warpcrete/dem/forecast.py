@@ -33,9 +33,9 @@ from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 
 # Minimum fraction of the measured wall time that is attributed to steps. It applies if the estimated time of list
-# rebuilds exceeds the rest of the measured time.
+# rebuilds would leave less than this fraction for the steps.
 LEAST = 0.1
-TIMING_TIME = 0.7  # Wall time during which steps are measured [s].
+TIMING_TIME = 0.7  # Minimum wall time for which the steps are timed [s].
 # Maximum number of spheres in the copy of the scene that the forecast times. The key is True for a GPU and False for a
 # CPU. With more spheres, the time per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
@@ -47,8 +47,8 @@ STRAIGHT, BENT = 1.25, 0.5
 # 1.3.
 BONDS_AFTER_SETTLING = 1.2
 SETTLING_BUILDS = 1 / 40  # Number of neighbour list rebuilds per step while a packing settles.
-# The settling of a packing is assumed to take as long as a pressure wave needs for PASSAGES passages along the pipe,
-# plus the constant time SETTLING_OFFSET [s].
+# The settling of a packing is assumed to take the constant time SETTLING_OFFSET [s], plus the time in which a pressure
+# wave travels PASSAGES times through the length of the concrete.
 PASSAGES, SETTLING_OFFSET = 2.4, 0.19
 IDLE_SPHERES = 40_000  # Number of spheres at which a GPU's step takes about twice as long as a step without spheres.
 
@@ -56,8 +56,8 @@ IDLE_SPHERES = 40_000  # Number of spheres at which a GPU's step takes about twi
 def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Forecast the steps, wall time and memory of a run on a Warp `device`.
 
-    `probe` is a function that measures the time to record one frame. Raises the errors that the run itself would raise
-    before its first step.
+    `probe` is a function that measures the wall time of recording one frame of a recording. Raises the errors that the
+    run itself would raise before its first step.
     """
     ready = _ShortenedCopy(scene, device, precision, threads)
     dt, factor = ready.stepper.dt, ready.factor
@@ -99,8 +99,10 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
 
 
 def _settling_time(scene: Scene) -> float:
-    """Return the simulated time until the packing is at rest [s]. The formula was fitted to runs with Zhan's (2019)
-    pipes."""
+    """Return the expected simulated time in which the packing settles [s].
+
+    The formula was fitted to runs with the pipes of Zhan (2019).
+    """
     assert scene.settle is not None
     if scene.pipe is None or scene.fill is None:
         return scene.settle.duration
@@ -111,7 +113,7 @@ def _settling_time(scene: Scene) -> float:
 class _ShortenedCopy:
     """Copy of a scene on which the forecast measures wall times.
 
-    The copy starts at t = 0 without letting its bodies come to rest first. If the pipe is very long, the copy has a
+    The copy starts at t = 0 without settling, so its bodies are not at rest. If the pipe is very long, the copy has a
     shorter pipe.
     """
 
@@ -236,8 +238,8 @@ class _ShortenedCopy:
     def limits(self) -> tuple[dict[str, float], str]:
         """Return stable time steps [s] by name, and a text that says what limits the time step.
 
-        Each of these steps is the stable step for some of the forces: contacts without bonds, contacts with one kind of
-        bond, contacts without dashpots, sub-cycled bonds, and all forces together.
+        Each stable step is estimated with only some of the forces: contacts without bonds, contacts with one kind of
+        bond, contacts without dashpots, sub-cycled bonds, or all forces together.
         """
         simulation, stepper, scene = self.simulation, self.stepper, self.scene
         fixed = scene.time_step.fixed
@@ -335,7 +337,7 @@ class _ShortenedCopy:
         return stepper.estimate()
 
     def _smallest(self) -> str:
-        """Return a text about the lightest bodies, which limit the time step because they oscillate fastest."""
+        """Return a text on the size of the lightest bodies, which oscillate fastest and so limit the time step."""
         spheres = self.simulation.state.spheres.position.numpy()[:, 3]
         table = self.simulation.state.table()
         least = int(np.argmin(table.mass))
@@ -373,7 +375,7 @@ def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTab
 
 
 def _springs(law: ContactLaw) -> ContactLaw:
-    """Return a copy of a contact law without dashpots, that is, with damping ratios of 0."""
+    """Return a copy of a contact law without dashpots: all damping ratios are 0."""
     changes: dict[str, Any] = {}
     for each in dataclasses.fields(law):  # type: ignore[arg-type]
         value = getattr(law, each.name)

@@ -35,15 +35,14 @@ START_FRACTION = 0.10  # Solid fraction at which small aggregates are placed bef
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 CHUNK = 50  # Number of time steps between two evaluations of the pressure of a packing.
-# Pressure of freshly placed aggregates, which overlap at first, divided by the contact modulus. This pressure vanishes
-# while the aggregates push each other apart. Only a higher pressure shows that the growth may end.
+# Pressure of freshly placed aggregates, divided by the contact modulus. They overlap at first, and this pressure
+# vanishes once they have pushed each other apart. The growth may therefore end only at a higher pressure.
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # Solid fraction that no packing of aggregates reaches at pressures of kilopascals.
 
-# Number of consecutive evaluations of the pressure after which the sizes are changed faster, if the pressure was too
-# high at all of them, or too low at all of them.
+# If the pressure is too high, or too low, at this many consecutive evaluations, the sizes are changed faster.
 LOOKS_BEFORE_GAIN = 45
-MOST_GAIN = 16.0  # Largest factor by which the adjustment of sizes to a wanted pressure is sped up.
+MOST_GAIN = 16.0  # Largest factor by which the adjustment of sizes is sped up.
 
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
 # error the relaxation may take twice as many steps.
@@ -106,8 +105,8 @@ def draw(
 class Request:
     """Input of one packing by :func:`pack_many`.
 
-    It consists of the container with the aggregates that fill it, the contact law, and the seed. The packing uses the
-    stiffness of the contact law.
+    `fill` describes the container and the aggregates, and `seed` is the seed of random numbers. The aggregates have the
+    stiffness of the law `contact`, but no friction, because they follow the law :meth:`ContactLaw.frictionless`.
     """
 
     fill: Fill
@@ -127,7 +126,7 @@ def pack(
 ) -> tuple[BodyTable, PackingReport]:
     """Pack aggregates into their container: place them small, let them grow without friction and come to rest.
 
-    Returns the bodies at rest and a report. `progress` is called with the fraction done.
+    Returns the bodies at rest and a report. `progress` is called with the completed fraction of the work.
 
     If `fill` has a pressure instead of a solid fraction, a trial packing in a smaller container first finds the solid
     fraction at this pressure. The real packing starts with aggregates for about this solid fraction, and their sizes
@@ -195,7 +194,7 @@ def pack_many(
 
 
 def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[float], None]) -> dict[int, Any]:
-    """Run packings; return, by the number of each packing, its result or the error that it raised.
+    """Run packings; return the result of each packing, or the error that it raised, by its key in `growths`.
 
     On a GPU, packings with the same features run as one batch.
     """
@@ -280,10 +279,10 @@ class _Growth:
                 break
 
     def _rest(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
-        """Let the aggregates come to rest; if a pressure is wanted, adjust sizes until it is met."""
+        """Let the aggregates come to rest. If `fill` states a pressure, adjust sizes until the packing has it."""
         pressure = self.fill.pressure
         looks_on_target, least, was_too_low = 0, 1e-3, None
-        # `looks_off_target` counts consecutive evaluations with the pressure always too high, or always too low.
+        # `looks_off_target` counts consecutive evaluations at which the pressure was off target in the same direction.
         gain, looks_off_target = 1.0, 0
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
@@ -306,11 +305,11 @@ class _Growth:
                 # In a jammed packing, a change of ln(size) changes the pressure by about the contact modulus times this
                 # change. Dividing the pressure error by the modulus therefore gives the change of ln(size) that
                 # corrects the pressure. In a barely jammed packing the pressure reacts far less, because growing
-                # aggregates move into free space. The factor `gain` makes up for this.
+                # aggregates move into free space. The factor `gain` compensates for this.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
-                    # Let ln(size) grow by at least `least`. If the packing is not yet jammed, its pressure does not
-                    # show how much the aggregates must grow.
+                    # Increase ln(size) by at least `least`. In a packing that is not jammed yet, the pressure does not
+                    # show how much the aggregates must still grow.
                     change = max(change, least)
                 stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
             stepper.choose_dt()

@@ -64,7 +64,7 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
 
 
 def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
-    """Draw a vertical line at the piston travel at which its speed becomes constant."""
+    """Draw a vertical line at the travel at which the piston reaches its constant speed."""
     ramp = run.scene.pipe.ramp if run.scene.pipe is not None else 0.0
     if 0 < ramp < longest:
         axes.axvline(ramp, color="0.7")
@@ -73,7 +73,7 @@ def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
 
 
 def plot_stations(run: ElementRun) -> Any:
-    """Return a figure of the quantities that stations along a pipe measured.
+    """Return a figure of the quantities that were measured in slices (stations) along a pipe.
 
     Four panels show stresses [kPa], solid fraction, velocity profiles over the radius [cm/s], and the pressure on the
     piston [kPa] against its travel [m].
@@ -130,7 +130,7 @@ def plot_strokes(run: ElementRun) -> Any:
     """Return a figure of pumping pressure [kPa] over time [s], for a piston that stops and starts again.
 
     The pauses between two strokes of the piston are shaded. A vertical line marks the time of the rest, if the scene
-    has one. In a rest, the concrete stands for minutes and its yield stress grows; the rest takes no simulated time.
+    has one. In a rest, the concrete stands still for minutes and its yield stress grows, but no time is simulated.
     """
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
     if stops is None:

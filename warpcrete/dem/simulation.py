@@ -146,7 +146,7 @@ class ElementSimulation(Simulation):
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
-            # Bonds that formed during settling carry forces. Remove them, and bond all contacts anew without forces.
+            # Bonds that formed during settling carry forces. Remove them, and bond all contacts again without forces.
             bonds = self.state.pairs.bond.numpy()
             bonds[bond_kinds(bonds) <= 1] = 0
             self.state.pairs.bond.assign(bonds)
@@ -195,9 +195,8 @@ class ElementSimulation(Simulation):
         """Advance the simulation to `time` [s]; this coroutine yields the times to which the run loop must step.
 
         A scene may contain a rest, for example ten minutes in which the concrete stands still. The rest is not
-        simulated: at its moment, bonds and lubrication layer gain at once the strength that they would gain during the
-        rest. If the rest is due at or before `time` and has not taken place yet, the simulation first advances to its
-        moment.
+        simulated: at the time `Rest.at`, bonds and lubrication layer gain the strength of the whole rest at once. If a
+        rest is still to come before or at `time`, the simulation first advances to `Rest.at` and applies this gain.
         """
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:
@@ -212,10 +211,9 @@ class ElementSimulation(Simulation):
         self.blockage = BlockageWatch(self.model, self.state) if self.scene.looks_for_blockage else None
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the data of a checkpoint.
+        """Return the data of a checkpoint: state, stepper and packing report, and a part that depends on the time.
 
-        They are the state, the stepper, the packing report, and either the progress of the settling or all
-        measurements.
+        Before t = 0 this part is the progress of the settling, afterwards it contains all measurements.
         """
         self.stepper.batch.flush()
         found = {
@@ -298,9 +296,9 @@ class ElementSimulation(Simulation):
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
     def running(self) -> Coroutine:
-        """Run to the end as the base class does; then warn of a time step that is too coarse."""
+        """Run to the end, as in the base class, and then warn if the time step was too coarse."""
         run: Run = yield from super().running()
-        # All results are on the disk by now, so they remain even if the user turns warnings into errors.
+        # All results have been written, so none is lost if the user turns warnings into errors.
         if run.finished and self._ended_run is None:
             warn_of_coarse_step(run)
         return run

@@ -46,9 +46,9 @@ class Arc:
 
 @dataclass(frozen=True)
 class Axis:
-    """Centreline of a pipe: a start point [m], a unit tangent there and a sequence of lines and arcs.
+    """Centreline of a pipe: a start point [m], a unit tangent at this point, and a sequence of lines and arcs.
 
-    Beyond both ends the axis continues straight without limit, so that an exact pipe surface has no end caps.
+    Beyond both ends, the axis continues as an unlimited straight line, so that an exact pipe surface has no end caps.
     """
 
     start: tuple[float, float, float]
@@ -59,7 +59,7 @@ class Axis:
         object.__setattr__(self, "start", vector("axis start", self.start))
         tangent = np.array(vector("axis tangent", self.tangent))
         if not np.any(tangent) or not self.pieces:
-            refuse("axis", self.pieces, "must have a direction and at least one piece")
+            refuse("axis", self.pieces, "must have a tangent other than (0, 0, 0), and at least one piece")
         object.__setattr__(self, "tangent", tuple(tangent / np.linalg.norm(tangent)))
 
     @property
@@ -195,16 +195,16 @@ class Axis:
         return points, tangents, np.cross(sides, tangents), sides
 
     def carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
-        """Transport the unit vector `side`, a normal of the axis at its start, along the axis without twist.
+        """Return the normals at the arc lengths `s` [m] that follow from the normal `side` at the start of the axis.
 
-        The result holds the transported normals at the arc lengths `s` [m], shape (n, 3).
+        The unit vector `side` is transported along the axis without twist. The result has the shape (n, 3).
         """
         s = np.atleast_1d(np.asarray(s, dtype=float))
         found, begin = np.empty((len(s), 3)), 0.0
         for segment in self.segments():
             piece = segment["piece"]
-            # Each piece of the axis writes results for all arc lengths from its start on, even for those that belong to
-            # later pieces. The later pieces then overwrite these results.
+            # Each piece of the axis writes results for all arc lengths beyond its start. Later pieces then overwrite
+            # the results for the arc lengths that belong to them.
             beyond = s >= begin if begin > 0 else np.ones(len(s), bool)
             turn = np.zeros(np.count_nonzero(beyond))
             hinge = np.zeros(3)
@@ -217,11 +217,11 @@ class Axis:
         return found
 
     def parametrised(self) -> list[dict[str, Any]]:
-        """Return the pieces of the axis, each with the range of the coordinate along it.
+        """Return the pieces of the axis as dictionaries, each with the range of the coordinate along the piece.
 
         The coordinate is the length [m] along a line or the angle [rad] along an arc. The axis continues straight
-        beyond both of its ends, so the coordinate of a line at an end has no limit there. If the axis begins or ends
-        with an arc, an unlimited straight line is added at that end.
+        beyond both of its ends. A line at an end of the axis therefore has no limit there, and an arc at an end is
+        followed by an additional unlimited line.
         """
         rows = []
         segments = self.segments()
@@ -252,9 +252,9 @@ class Axis:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a triangle mesh of the pipe's inner surface, open at both ends, with normals inward.
 
-        The vertices lie on circles of `radius` [m] with `facets` facets each. Along bends the facets are as long as
-        they are wide. The tube extends `before` [m] beyond the start of the axis and `after` [m] beyond the end of the
-        axis. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
+        The cross-section is a regular polygon whose `facets` corners lie on a circle of `radius` [m]. Along bends the
+        facets are as long as they are wide. The tube extends `before` [m] beyond the start of the axis and `after` [m]
+        beyond the end of the axis. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         between("facets", facets, 3, 100_000)
         width = 2 * np.pi * radius / facets

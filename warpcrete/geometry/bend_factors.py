@@ -14,10 +14,10 @@ EXAMPLE = "for example 'bend_factor: 1.5', or 'bend_factor: {factor: 1.5, low: 1
 
 
 def with_bend_factor(parts: Sequence[Part], given: Any) -> tuple[Part, ...]:
-    """Return the parts of a pipeline whose bends have the factor that the entry `bend_factor` states.
+    """Return the parts of a pipeline with the friction factor of the entry `bend_factor` in all bends.
 
-    The entry is a number, or a mapping with the keys :data:`BEND_FACTOR`, which also states the range of the factor. A
-    bend with a factor of its own keeps that factor. Raises :class:`SceneError` for a wrong key or value.
+    The entry `given` is a number, or a mapping with the keys :data:`BEND_FACTOR`, which also states the range of the
+    factor. A bend with a factor of its own keeps that factor. Raises :class:`SceneError` for a wrong key or value.
     """
     entries = given if isinstance(given, Mapping) else {"factor": given}
     found = {}
@@ -35,7 +35,7 @@ def with_bend_factor(parts: Sequence[Part], given: Any) -> tuple[Part, ...]:
     factor = found["factor"]
     span = None if len(found) == 1 else (found["low"], found["high"])
     if span is not None and not span[0] <= factor <= span[1]:
-        refuse("bend_factor", dict(entries), "must lie between its 'low' and 'high'", EXAMPLE)
+        refuse("bend_factor", dict(entries), "'factor' must lie between 'low' and 'high'", EXAMPLE)
     return tuple(
         replace(part, factor=factor, factor_range=span) if part.kind == "bend" and part.factor is None else part
         for part in parts

@@ -19,7 +19,7 @@ serves to find the arc length before which a given fraction of the whole volume 
 
 @dataclass(frozen=True)
 class Bores:
-    """Inner radius of a pipe along its axis: linear between given arc lengths, and constant beyond them."""
+    """Inner radius of a pipe along its axis: linear between the arc lengths `places`, and constant beyond them."""
 
     places: tuple[float, ...]
     """Arc lengths along the axis at which the inner radii are given, in increasing order [m]."""
@@ -62,19 +62,19 @@ class Bores:
         return s, self.at(s)
 
     def volume(self, begin: float, end: float) -> float:
-        """Return the volume between two arc lengths [m3]; a bend does not change the volume (Pappus)."""
+        """Return the volume between two arc lengths [m3]; a bend does not change it (Pappus's theorem)."""
         s, r = self._edges(begin, end)
         return float(np.pi / 3 * np.sum(np.diff(s) * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2)))
 
     def surface(self, begin: float, end: float) -> float:
-        """Return the area of the wall between two arc lengths [m2]; a bend does not change the area (Pappus)."""
+        """Return the area of the wall between two arc lengths [m2]; a bend does not change it (Pappus's theorem)."""
         s, r = self._edges(begin, end)
         return float(np.pi * np.sum((r[1:] + r[:-1]) * np.hypot(np.diff(s), np.diff(r))))
 
     def spread(self, parts: np.ndarray, length: float) -> np.ndarray:
-        """Return the arc lengths [m] before which given fractions of a pipe's volume lie.
+        """Return the arc lengths [m], shape (n,), up to which the pipe contains the fractions `parts` of its volume.
 
-        `parts`, shape (n,), are fractions of the volume between the arc lengths 0 and `length` [m].
+        The fractions, shape (n,), refer to the volume between the arc lengths 0 and `length` [m].
         """
         s = np.union1d(np.linspace(0, length, VOLUME_SAMPLES), [p for p in self.places if 0 < p < length])
         slices = (

@@ -19,8 +19,8 @@ def clean(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Merge coincident corners of a mesh, then remove repeated triangles and triangles without area.
 
-    If several triangles have the same three corners, in whatever order, only the first of these triangles stays. The
-    arrays of a mesh without such faults are returned bit by bit unchanged.
+    If several triangles have the same three corners, in any order, only the first of these triangles is kept. The
+    arrays of a mesh without such faults are returned bitwise unchanged.
 
     Args:
         vertices: Corners [m], shape (v, 3).
@@ -49,7 +49,7 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
     """Return for each corner the lowest index of all corners at the same place, shape (v,).
 
     Corners whose coordinates all differ by less than half the `tolerance` [m] are always merged. Corners with a
-    coordinate that differs by more than the tolerance are merged only through corners between them.
+    coordinate that differs by more than the tolerance are merged only if a chain of close corners connects them.
     """
     lowest = np.arange(len(vertices))
     if tolerance <= 0 or len(vertices) == 0:

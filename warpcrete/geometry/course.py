@@ -47,7 +47,7 @@ Pieces = Sequence[Line | Arc]
 
 
 class Course:
-    """Pipeline while it is built part by part, with its current direction and diameter and the parts added so far."""
+    """Pipeline under construction: its current direction and diameter, and the parts added so far."""
 
     def __init__(self, tangent: np.ndarray, diameter: float, folder: Path) -> None:
         self.begin: tuple[float, float, float] = tuple(tangent.tolist())
@@ -101,7 +101,7 @@ class Course:
         positive(f"part {number}, straight: length", length, "m")
         rise = length * float(self.tangent[2])
         if "rise" in said and abs(get("rise", "m") - rise) > 0.01 * length:
-            problem = f"does not fit: as the line goes here, a part of {length:g} m rises by {rise:.4g} m"
+            problem = f"does not fit: in the direction of the line here, a part of {length:g} m rises by {rise:.4g} m"
             hint = "put a bend before this part, or leave out 'rise'"
             refuse(f"part {number}, straight: rise", said["rise"], problem, hint)
         if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
@@ -145,9 +145,9 @@ class Course:
         return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
-        """Let the next part of the pipeline start in the direction `tangent`, a vector of any length.
+        """Set the direction in which the next part of the pipeline starts to `tangent`, a vector of any length.
 
-        The horizontal direction `heading` changes too, unless the new direction is vertical.
+        Unless the new direction is vertical, also set `heading` to its horizontal component.
         """
         tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
         self.tangent = tangent / np.linalg.norm(tangent)
@@ -156,7 +156,7 @@ class Course:
             self.heading = level / np.linalg.norm(level)
 
     def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        """Return a hose, which is either straight with a given length, or a curve through given points.
+        """Return a hose and the pieces of its axis: a straight line of a given length, or a curve through given points.
 
         A point has three coordinates relative to the start of the hose [m]: ahead, to the left, and up.
         """
@@ -259,7 +259,7 @@ def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> N
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction that a part's entries state, divided by the friction of straight pipe of the same length.
+    """Return the friction stated in a part's entries, divided by the friction of straight pipe of the same length.
 
     The result is None if the entries state no friction.
     """

@@ -13,11 +13,10 @@ diameter. In a tight bend, pieces nearer to each other along the axis may be clo
 
 
 def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:
-    """Return the indices of the first two spans of a pipe that come closer to each other than `gap` [m], or None.
+    """Return the indices of the first two spans of a pipe whose walls are closer to each other than `gap` [m], or None.
 
-    A span is a piece of the pipe, given by its length [m], its diameter [m] and the number of points on its axis. The
-    axis is taken to be straight between these points. Each span begins where the previous span ends. The distance
-    between two spans is measured between their walls.
+    A span is a piece of the pipe, given by its length [m], its diameter [m] and the number of points on its axis; the
+    axis counts as straight between these points. Each span begins where the previous span ends.
     """
     begin = 0.0
     places = []

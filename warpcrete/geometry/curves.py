@@ -13,9 +13,9 @@ FLAT = 1e-6
 def curve_through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
     """Return the pieces of a smooth curve through `points` (n, 3) [m] that starts with the unit vector `tangent`.
 
-    Two arcs that meet without a kink join each pair of neighbouring points (biarcs of equal tangent lengths, Bolton
-    1975); in general the two arcs lie in different planes. At an inner point, the curve has the direction of the circle
-    through that point and its two neighbours, so that points on a circle give that circle.
+    Each pair of neighbouring points is joined by two arcs that meet without a kink (biarcs of equal tangent lengths,
+    Bolton 1975); in general, the two arcs lie in different planes. At an inner point, the curve has the direction of
+    the circle through that point and its two neighbours. The curve through points on a circle is therefore this circle.
     """
     pieces: list[Line | Arc] = []
     tangents = _tangents(points, tangent)

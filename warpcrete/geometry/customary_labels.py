@@ -1,4 +1,4 @@
-"""Labels of the parts of a pipeline in customary US units, with the sizes as the user wrote them."""
+"""Labels of the parts of a pipeline in customary US units, with sizes in the user's notation, such as "4 1/2 in"."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,8 +12,8 @@ from .pipe_line import Part, PipeLine
 def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diameter: Any) -> tuple[Part, ...]:
     """Return the parts of a pipeline with labels in inches and feet.
 
-    `entries` are the entries of the parts in the pipeline's file, and `diameter` is the diameter of the first part, as
-    the file states it. A size that the file states in a customary unit appears in the label as it is written there.
+    `entries` are the entries of the parts in the pipeline's file, and `diameter` is the diameter of the first part as
+    written in the file. A size that the file states in a customary unit appears unchanged in the label.
     """
     bore, found = _written(diameter, parts[0].diameter, INCH, "in"), []
     for part, entry in zip(parts, entries, strict=True):
@@ -33,8 +33,7 @@ def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diamete
 
 
 def as_customary(line: PipeLine) -> PipeLine:
-    """Return a pipeline with a description in customary US units, for a pipeline whose file has metric units or that
-    has no file."""
+    """Return a pipeline whose texts use customary US units, although its file has metric units or there is no file."""
     return replace(line, customary=True, parts=tuple(_labelled(part, part.customary_label) for part in line.parts))
 
 
@@ -44,5 +43,5 @@ def _labelled(part: Part, label: str) -> Part:
 
 
 def _written(stated: Any, size: float, unit: float, name: str) -> str:
-    """Return a size as the user wrote it if it has a customary unit, or else the `size` [m] in the given unit."""
+    """Return the text `stated` if it has a customary unit; otherwise the `size` [m] in a `unit` [m] called `name`."""
     return str(stated).strip() if is_customary(stated) else f"{size / unit:.4g} {name}"

@@ -38,11 +38,11 @@ tested at its centre, and at the weighted means for its three corners."""
 
 
 class InnerSurface:
-    """Facets of a mesh that are visible from a pipe's axis, with queries that measure the bore that they enclose.
+    """Inner wall of a pipe in a mesh: the facets that are visible from the pipe's axis; methods measure the bore.
 
-    The mesh of a real pipe has more surfaces than the bore: an outer skin, rims and lids. A facet belongs to the inner
-    surface if nothing lies between the facet and the nearest point of the axis, and if the facet is not part of a lid.
-    Beyond `begin` and `end` the bore is taken to continue with its last cross-section, so the mesh may end there.
+    The mesh of a real pipe has more surfaces than the inner wall: an outer skin, rims and lids. A facet belongs to the
+    inner wall if nothing lies between the facet and the nearest point of the axis, and if the facet is not part of a
+    lid. Measurements beyond `begin` and `end` use the last cross-section there, so the mesh may end at these places.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
@@ -114,9 +114,9 @@ class InnerSurface:
         return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
 
     def _inside(self, s: np.ndarray) -> np.ndarray:
-        """Return arc lengths [m], clipped to the range that lies a small distance inside both ends of the mesh.
+        """Clip arc lengths [m] to a range that begins and ends a small distance inside the ends of the mesh.
 
-        Exactly at a rim or a lid, rays may miss the bore.
+        This is necessary because rays exactly at a rim or a lid may miss the wall.
         """
         low, high = max(self.begin, self._low), min(self.end, self._high)
         inset = min(INSET * self._radius, 0.25 * (high - low))
@@ -152,7 +152,7 @@ class InnerSurface:
         return begin, end
 
     def _rim(self, closed: float, beyond: float) -> float:
-        """Return the arc length [m] of the rim at which the mesh ends; bisection finds it between two arc lengths.
+        """Return the arc length [m] of the rim at which the mesh ends, by bisection between two arc lengths.
 
         At `closed` [m], the wall surrounds the axis completely; `beyond` [m] lies at the rim or outside the mesh.
         """
@@ -200,10 +200,10 @@ class InnerSurface:
         """Refuse an inner surface with open edges between its ends.
 
         An open edge belongs to only one triangle of the inner surface. It is either the border of a hole in the mesh,
-        or an edge that hides a part of the wall from the axis. `vertices` and `faces` describe the original mesh.
-        `whole` holds the indices of the original triangles that have an area, and `kept` holds the indices of the inner
-        surface's triangles. Triangles without area are counted too, because they close edges that CAD programs have
-        split.
+        or the edge of an undercut (a part of the wall that is not visible from the axis). `vertices` and `faces`
+        describe the original mesh. `whole` holds the indices of the original triangles that have an area, and `kept`
+        holds the indices of the inner surface's triangles. Triangles without area are counted too, because they close
+        edges that CAD programs have split.
         """
         corners = np.sort(merged_corners(vertices, default_tolerance(vertices))[faces], axis=1)
         _, first = np.unique(corners, axis=0, return_index=True)
@@ -251,9 +251,9 @@ class InnerSurface:
 
 
 def equal_radii(sections: np.ndarray) -> np.ndarray:
-    """Return the radii [m] of circles that have the areas of cross-sections, shape (n,).
+    """Return the radii [m] of the circles that have the same areas as n cross-sections, shape (n,).
 
-    `sections` holds the distances from the axis to the wall, one row for each cross-section.
+    `sections` holds the distances [m] from the axis to the wall at equal angles, one row for each cross-section.
     """
     return np.sqrt(np.mean(sections**2, axis=1))
 
@@ -264,8 +264,7 @@ def pipe_in(
     """Return the inner surface of a mesh, after checking that the mesh is a pipe of about `radius` [m].
 
     The check covers the first `length` [m] of the pipe. Raises :class:`SceneError` if the mesh is not a pipe around
-    `axis`, or if the distance of its wall from the axis anywhere differs from `radius` by more than a tenth of
-    `radius`.
+    `axis`, or if the distance between axis and wall differs from `radius` by more than 10 % at any place.
     """
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))

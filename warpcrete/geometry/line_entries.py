@@ -50,8 +50,8 @@ PARTS = {
         "outlet": ("m", "Inner diameter behind the bore"),
     },
 }
-"""Kinds of pipeline parts, each with its entries, their units and meaning. If a pipeline file has a single value
-instead of the entries of a part, this value is the part's first entry."""
+"""Kinds of pipeline parts, each with its entries, their units and their meaning. If a pipeline file states a single
+value for a part instead of entries, it is the value of the first entry listed here."""
 PART_HINTS = {
     **dict.fromkeys(("pipe", "level", "horizontal", "length"), "write 'straight: 10 m'"),
     **dict.fromkeys(("vertical", "riser", "rise", "up"),
@@ -87,8 +87,9 @@ concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")
 BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
-"""Default radius of a bend: the larger of BEND_RADIUS [m] and BEND_DIAMETERS times the pipe's diameter. BEND_RADIUS is
-the smaller of the two radii, 0.5 and 1 m, for which JSCE's rule gives an equivalent length of straight pipe."""
+"""Default radius of a bend: the larger of BEND_RADIUS [m] and BEND_DIAMETERS times the pipe's diameter. The rule of the
+Japan Society of Civil Engineers (JSCE) gives an equivalent length of straight pipe for bends with radii of 0.5 and 1 m;
+BEND_RADIUS is the smaller of the two."""
 HOSE_FACTOR = 2.0
 """Ratio of a hose's friction to the friction of straight pipe of the same length, for a hose whose length alone is
 known. The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""

@@ -28,7 +28,7 @@ CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
 """Number of points along a part, by the kind of the part. The search for crossings treats the part as straight between
 neighbouring points."""
 OF_CONCRETES = ("mix", "elements", "slump", "spread", "sieve", "water_binder")
-"""Keys of the file of a concrete that users may give as the file of a line."""
+"""Keys of a concrete's file. They reveal that the user gave such a file by mistake as the file of a line."""
 
 
 def shipped_lines() -> tuple[str, ...]:
@@ -67,10 +67,10 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
 def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
     """Build a pipeline from the entries of its file.
 
-    Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, the diameter of the first part.
-    Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `pump`,
-    `bend_factor`, `source` and `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an
-    entry is wrong or the parts do not fit.
+    Two entries are required: `parts`, a list of mappings from the kind of a part to its entries, and `diameter`, the
+    diameter of the first part. The entries `begin` (the direction in which the line starts), `flow`, `concrete`,
+    `largest_stone`, `pump`, `bend_factor`, `source` and `recorded` are optional. Paths of mesh files are relative to
+    `folder`. Raises :class:`SceneError` if an entry is wrong or the parts do not fit together.
     """
     if not isinstance(given, Mapping):
         refuse("line", given, "must consist of 'key: value' lines")
@@ -128,9 +128,9 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
 
 
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
-    """Return the pipeline with the diameter of its concrete's largest stone replaced by `stone` [m].
+    """Return a copy of the pipeline in which the largest stone of the concrete has the diameter `stone` [m].
 
-    The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not fit through a part
+    None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not fit through a part
     of the pipeline.
     """
     for part in line.parts:
@@ -150,7 +150,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
 
 
 def _pump(given: Mapping[str, Any]) -> Pump | None:
-    """Return the data sheet of the pump that the pipeline's entries describe, or None without an entry `pump`."""
+    """Return the data sheet of the pump in the entry `pump`, or None if there is no such entry."""
     if "pump" not in given:
         return None
     with errors_located_at(given, "pump"):
@@ -158,7 +158,7 @@ def _pump(given: Mapping[str, Any]) -> Pump | None:
 
 
 def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
-    """Return the value of the entry `field` in `unit`, after checking that it is positive; None without the entry."""
+    """Return the value of the entry `field` in `unit` after checking it, or None if there is no such entry."""
     if field not in given:
         return None
     with errors_located_at(given, field):
@@ -176,7 +176,7 @@ def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the cou
         wide = max(part.diameter, part.outlet)
         # If a gap is required, divide long parts into short pieces. The check ignores two pieces that are close to each
         # other along the axis, because such pieces are always close in space. If each leg of a U-turn were a single
-        # long piece, the check would therefore ignore the gap between the legs.
+        # long piece, the check would also ignore the two legs, however close they are.
         spans.append((part.length, wide, CROSSING_SAMPLES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
     found = first_crossing(line.axis, spans, gap)
     if found is None:

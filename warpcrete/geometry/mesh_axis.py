@@ -118,7 +118,7 @@ def _straight(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return the straight line from `position` along `tangent` to the point with index `stop`.
+    """Return the straight line from `position` along `tangent` that ends beside the point with index `stop`.
 
     The result is None if the line passes too far from the points up to `stop`, or if the tangents at these points
     deviate too much from the line.
@@ -141,8 +141,8 @@ def _biarc(
 ) -> Curve:  # fmt: skip
     """Return two arcs that lead from `position` to the point with index `stop`, or None if they do not fit.
 
-    Two arcs do not fit if one turns by more than a quarter circle, if they run backwards, or if they pass too far from
-    the points in between.
+    The arcs do not fit if one of them turns by more than a quarter circle, if `stop` lies behind `position`, or if they
+    pass too far from the points in between. Arcs to the next point always fit.
     """
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None

@@ -1,4 +1,4 @@
-"""Bore of a mesh as one part of a pipeline; `mesh_parts` measures it."""
+"""Measured bore of a mesh that is one part of a pipeline; the module `mesh_parts` makes the measurements."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from .axis import Axis
 
 @dataclass(frozen=True)
 class MeshBore:
-    """Bore of a mesh; the mesh is one part of a pipeline."""
+    """Measured bore of a mesh that is one part of a pipeline."""
 
     file: str
     """Absolute path of the mesh file."""
@@ -16,7 +16,7 @@ class MeshBore:
     axis: Axis
     """Centreline of the bore in the mesh's own coordinates, starting at the mesh's origin."""
     narrowest: float
-    """Smallest distance between two opposite places of the bore's wall [m]."""
+    """Smallest clear width of the bore, measured through its axis [m]."""
     digest: str
     """Hash of the mesh file's content and of its scale."""
     places: tuple[float, ...]

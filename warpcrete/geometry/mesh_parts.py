@@ -99,7 +99,7 @@ def bore_of(
 
 
 def _check_scale(field: str, scale: float, diameter: float) -> None:
-    """Refuse a `scale` that gives a bore a `diameter` [m] that no pipe has, as in a file with another unit of length.
+    """Refuse a `scale` with which a bore has a `diameter` [m] that no pipe has; the file probably has another unit.
 
     `field` is the name of the scale in the message.
     """
@@ -112,7 +112,7 @@ def _check_scale(field: str, scale: float, diameter: float) -> None:
 
 
 def scale_hint(field: str, scale: float, width: float, diameter: float) -> str:
-    """Return a hint with the scale that makes a bore fit a `diameter` [m]; empty if no unit of length does so.
+    """Return a hint with the scale for which a bore has the required `diameter` [m]; empty if no unit of length fits.
 
     `field` is the name of the scale, and `width` [m] is the width of the bore with the present `scale`.
     """
@@ -194,9 +194,10 @@ def _surface(bore: MeshBore, field: str) -> InnerSurface:
 def directions_at(axis: Axis, s: float) -> np.ndarray:
     """Return the directions of a mesh's x, y and z axes after the mesh is placed on a pipe's axis, shape (3, 3).
 
-    The mesh is placed at the arc length `s` [m], with x along the axis. If the axis begins level, z points up at its
-    start. If the axis begins vertically, z points where "up" would point after a bend from level to vertical. From the
-    start on, z is transported along the axis without twist.
+    The mesh is placed at the arc length `s` [m], with its x axis along the pipe's axis. At the start of a level pipe,
+    the mesh's z axis points up. At the start of a pipe that begins upwards or downwards, it points along the scene's -x
+    or +x axis: this is the direction of "up" after a bend from the x axis into the vertical. From the start on, the z
+    axis is transported along the pipe's axis without twist.
     """
     tangent, level = np.array(axis.tangent), np.array([0.0, 0.0, 1.0])
     if abs(tangent @ level) > 0.5:
@@ -234,7 +235,7 @@ def wall_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices [m] (v, 3) and faces (f, 3) of the wall of a pipe that contains mesh bores.
 
-    Between the meshes lies round pipe with `facets` facets and the volume of the exact pipe. The ends of the round pipe
+    Between the meshes, the pipe is round, with `facets` facets around it and the volume of the exact pipe. Its ends
     overlap slightly with the meshes, so that the wall has no gap. The wall extends `before` [m] beyond the start of the
     axis and `after` [m] beyond the end of the axis. :func:`directions_at` defines how the meshes are oriented.
     """

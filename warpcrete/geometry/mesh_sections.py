@@ -68,9 +68,9 @@ def follow(
 ) -> Sections:
     """Follow a bore from a point on its axis to its end, section by section.
 
-    Each cross-section is perpendicular to the local direction of the bore and is measured by rays from the centre of
-    the cross-section, so that outer skins, rims and lids have no influence. The bore ends where a cross-section is
-    open; cross-sections behind a lid are open too.
+    Each cross-section is perpendicular to the local direction of the bore. Rays from the centre of the cross-section
+    measure it, so outer skins, rims and lids have no influence. The bore ends where a cross-section is open, because
+    at least one ray meets no wall; a cross-section behind a lid is open too.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
@@ -99,7 +99,7 @@ def follow(
 
 
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
-    """Turn the cross-sections of a bore, so that they become perpendicular to the curve through their centres.
+    """Turn the cross-sections of a bore until they are perpendicular to the curve through their centres.
 
     The function changes the centres `points` and the `radii` in place.
     """
@@ -198,12 +198,12 @@ def _follow_bore(
 def _next_section(
     queries: SurfaceQueries, points: list[np.ndarray], tangent: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
-    """Return centre, radius and direction of the next cross-section of a bore, one `step` [m] further, or None.
+    """Return the centre [m], radius [m] and direction of the next cross-section of a bore, or None if there is none.
 
-    The result is None if there is no such cross-section. The cross-section is turned until it is perpendicular to the
-    parabola through its own centre and two earlier centres. In a conical bore, the centre of a tilted cross-section is
-    displaced from the axis by up to the radius times the slope of the wall. The iteration therefore converges only if
-    each repetition turns the cross-section by a fraction of the remaining angle.
+    The cross-section lies about one `step` [m] beyond the last of `points`. It is turned until it is perpendicular to
+    the parabola through its own centre and two earlier centres. In a conical bore, the centre of a tilted cross-section
+    is displaced from the axis by up to the radius times the slope of the wall. The iteration therefore converges only
+    if each repetition turns the cross-section by a fraction of the remaining angle.
     """
     way, found = tangent, None
     place = points[-1] + step * tangent
@@ -252,7 +252,7 @@ def _length(points: list[np.ndarray]) -> float:
 def _check_open(
     queries: SurfaceQueries, end: np.ndarray, outward: np.ndarray, radius: float, field: str, name: str, *words: str
 ) -> None:
-    """Refuse a bore that continues beyond one of its ends.
+    """Refuse a bore that continues beyond one of its ends; `words` are the problem and the hint of the message.
 
     Beyond the end, at most half of the rays perpendicular to the axis may meet a wall.
     """

@@ -68,7 +68,7 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
             cure = "give a mesh file such as STL, OBJ or PLY, whose extension matches its format"
             refuse(field, str(source), problem, cure)
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
-        refuse(field, str(source), "must contain triangles, with finite vertices")
+        refuse(field, str(source), "must contain triangles with finite vertices", "check that it is a triangle mesh")
     _check_size(mesh, field, str(source), scale)
     vertices, faces, _ = clean(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -155,7 +155,7 @@ class Bore:
     def of(cls, reach: np.ndarray) -> Bore:
         """Return the size of a bore, calculated from the distances `reach` between its axis and its wall [m].
 
-        No distance may be -1, which stands for a ray that met no wall.
+        All rays must have met the wall, so no distance may be -1.
         """
         return cls(float(reach.min()), float(reach.max()), float(np.pi * np.mean(reach**2)))
 
@@ -167,9 +167,9 @@ class Bore:
 
 
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
-    """Return the arc lengths at which a pipe is measured [m].
+    """Return the arc lengths [m] between `begin` and `end` at which a pipe is measured.
 
-    The first and the last arc length keep a small distance from the pipe's ends, because the ends may be capped.
+    The first and the last one have a small distance from the ends of the pipe, which may be closed by lids.
     """
     inset = min(0.02 * radius, 0.25 * (end - begin))
     return np.linspace(begin + inset, end - inset, max(8, int((end - begin) / radius)))
@@ -187,7 +187,7 @@ def bore_probes(mesh: Any, axis: Axis, radius: float, end: float, around: int = 
 
 
 def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.ndarray:
-    """Return which of `points` (n, 3) [m] lie inside a pipe, as booleans of shape (n,).
+    """Return whether each of `points` (n, 3) [m] lies inside a pipe, as booleans of shape (n,).
 
     A point lies inside if no wall lies between the point and the pipe's axis.
     """
@@ -214,9 +214,10 @@ def faces_at(mesh: Any, points: np.ndarray, reach: float) -> np.ndarray:
 
 
 def rays(mesh: Any, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-    """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3) to the mesh, -1 for a miss.
+    """Return the distances [m] at which rays meet the mesh, shape (n,); -1 if there is no hit within `reach` [m].
 
-    `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3).
+    The rays start at `origins` (n, 3) [m] along the unit vectors `directions` (n, 3). `mesh` is any object with
+    `vertices` (v, 3) and `faces` (f, 3).
     """
     return SurfaceQueries(mesh.vertices, mesh.faces).rays(origins, directions, reach)
 
@@ -242,7 +243,10 @@ class SurfaceQueries:
         self._extent = float(np.abs(vertices).max(initial=0.0))
 
     def rays(self, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-        """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3) to the mesh, -1 for a miss."""
+        """Return the distances [m] at which rays meet the mesh, shape (n,); -1 if there is no hit within `reach` [m].
+
+        The rays start at `origins` (n, 3) [m] along the unit vectors `directions` (n, 3).
+        """
         along = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device="cpu")
         return self._query(ray_distances, origins=_points(origins), directions=along, reach=reach)
 

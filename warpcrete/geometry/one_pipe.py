@@ -26,10 +26,10 @@ MAX_LENGTH_RATIO = 10_000
 
 
 def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the flow [m3/s] and the concrete that are stated in the file of the scene's parameter `line`.
+    """Return the flow [m3/s] and the concrete stated in the file of the pipeline `line`, which is a scene parameter.
 
-    `values` are the parameters of the scene. The result is empty if `values` have no line, or if they state both the
-    flow and the concrete, as the parameters of a recorded run do.
+    `values` are the parameters of the scene. The result is empty if `values` contains no line, or contains both the
+    flow and the concrete, as in the record of a run.
     """
     if values.get("line") is None or ("flow" in values and "concrete" in values):
         return {}
@@ -60,8 +60,7 @@ def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) 
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Return the arc lengths [m] at which the parts of a pipeline begin and at which the pipeline ends, shape (parts +
-    1,)."""
+    """Return the arc lengths [m] at which the parts of a pipeline begin, and its length [m], shape (parts + 1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 
@@ -93,7 +92,7 @@ def joined(axis: Axis) -> Axis:
 
 
 def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
-    """Refuse a pipe that passes its own inlet or outlet plane again, or that is too long to be simulated.
+    """Refuse a pipe that crosses the plane of its own inlet or outlet again, or is too long to be simulated.
 
     The inlet plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
     axis. The outlet plane crosses the end of the pipe at right angles and has no limit.

@@ -75,19 +75,20 @@ class Part:
         """Short description of the part in words."""
         return self.customary_label or self.label_with(1.0, "m", 1e-3, "mm")
 
-    def label_with(self, metre: float, length: str, bore: float, width: str) -> str:
-        """Return a short description of the part with given units.
+    def label_with(self, length_unit: float, length_name: str, width_unit: float, width_name: str) -> str:
+        """Return a short description of the part with sizes in two units.
 
-        `metre` is the size [m] and `length` the name of the unit of lengths. `bore` is the size [m] and `width` the
-        name of the unit of diameters.
+        Lengths are given in a unit of the size `length_unit` [m] with the name `length_name`, and diameters in a unit
+        of the size `width_unit` [m] with the name `width_name`.
         """
         if self.kind == "bend":
-            return f"bend of {self.angle:g} degrees, radius {self.radius / metre:g} {length}"
+            return f"bend of {self.angle:g} degrees, radius {self.radius / length_unit:g} {length_name}"
         if self.kind == "reducer":
-            return f"{self.diameter / bore:g} to {self.outlet / bore:g} {width}"
+            return f"{self.diameter / width_unit:g} to {self.outlet / width_unit:g} {width_name}"
         if self.mesh:
-            return f"bore of {Path(self.mesh.file).name}, {self.narrow / bore:.4g} {width} at its narrowest"
-        climb = f", {'falls' if self.rise < 0 else 'rises'} {abs(self.rise) / metre:.3g} {length}"
+            narrow = f"{self.narrow / width_unit:.4g} {width_name}"
+            return f"bore of {Path(self.mesh.file).name}, {narrow} at its narrowest"
+        climb = f", {'falls' if self.rise < 0 else 'rises'} {abs(self.rise) / length_unit:.3g} {length_name}"
         if self.kind == "hose":
             return f"hose{climb}" if round(self.rise, 9) else "hose"
         if self.kind == "valve":
@@ -97,9 +98,9 @@ class Part:
 
     @property
     def loss_key(self) -> tuple[Any, ...]:
-        """Key of the part's pressure loss.
+        """Key that is equal for parts with the same pressure loss.
 
-        Parts with equal keys have the same loss, or if they are straight, the same loss per metre.
+        For straight pipes, hoses and valves, the loss divided by length and `relative_loss` is the same.
         """
         if self.is_by_length:
             return ("straight", self.diameter, self.layer)
@@ -115,15 +116,15 @@ class PipeLine:
     parts: tuple[Part, ...]
     axis: Axis
     flow: float | None = None
-    """Volume flow in the pipeline at which the pressure `recorded` was measured [m3/s]."""
+    """Volume flow [m3/s], at which the pressure `recorded` was measured; None if not stated."""
     concrete: str | None = None
     largest_stone: float | None = None
-    """Diameter of the largest stone in the concrete [m]."""
+    """Diameter of the largest stone in the concrete [m]; None if not stated."""
     source: str = ""
     recorded: float | None = None
-    """Pressure recorded at the pump of a real pipeline [Pa]."""
+    """Pressure recorded at the pump of a real pipeline [Pa]; None if not stated."""
     pump: Pump | None = None
-    """Data sheet of the pump."""
+    """Data sheet of the pump; None if not stated."""
     customary: bool = False
     """True if the line is described in customary US units. Texts about the line then give psi, feet and cubic yards in
     addition to metric units."""
@@ -140,12 +141,12 @@ class PipeLine:
 
     @property
     def bores(self) -> Bores:
-        """Inner radii along the axis. A cross-section of a mesh has the radius of the circle with the same area."""
+        """Inner radii along the axis [m]. A cross-section of a mesh has the radius of the circle with the same area."""
         return self._profile("radii")
 
     @property
     def clear(self) -> Bores:
-        """Radii of the largest circles about the axis that fit into the bore without touching its wall."""
+        """Radii [m] of the largest circles about the axis that fit into the bore without touching its wall."""
         return self._profile("least")
 
     def _profile(self, of: str) -> Bores:

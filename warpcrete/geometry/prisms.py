@@ -28,7 +28,7 @@ class Solid:
 
     @property
     def faces(self) -> np.ndarray:
-        """All triangles of the solid, whose two ends have n corners each, shape (4 n, 3)."""
+        """All triangles of the solid: 2 n between its two rings of n corners and n at each end, shape (4 n, 3)."""
         return np.concatenate([self.sides, self.ends])
 
     def without(self, *edges: int) -> np.ndarray:
@@ -50,8 +50,8 @@ class Solid:
 def truncated_cone(base: float, top: float, height: float, sides: int = SIDES) -> Solid:
     """Return an upright truncated cone about the z axis with its base at z = 0.
 
-    Arguments are the radii of its base and top and its height [m]. The corners of the mesh lie slightly outside the
-    cone, so that the mesh has the volume of the exact cone.
+    `base` and `top` are the radii of its ends [m]. The corners of the mesh lie slightly outside the cone, so that the
+    mesh has the volume of the exact cone.
     """
     angle = 2 * np.pi * np.arange(sides) / sides
     # A regular polygon with n sides, whose corners have the distance r from its centre, has the area n r^2 sin(2 pi /

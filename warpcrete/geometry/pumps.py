@@ -36,7 +36,7 @@ class Pump:
 def pump_of(given: Any) -> Pump:
     """Read a pump from a pressure, or from a mapping with the keys :data:`PUMP`.
 
-    Raises :class:`SceneError` for a wrong key or value, or without a pressure.
+    Raises :class:`SceneError` for a wrong key or value, or if there is no pressure.
     """
     entries = given if isinstance(given, Mapping) else {"pressure": given}
     found = {}

@@ -19,10 +19,10 @@ def section_area(
     height: float = np.inf,
     axial: bool = False,
 ) -> float:
-    """Return the area inside an outline, outside all holes and within 0 <= x <= `width`, 0 <= y <= `height` [m2].
+    """Return the area [m2] inside an outline and outside all holes, within 0 <= x <= `width` and 0 <= y <= `height`.
 
     Each polygon is a sequence of its corners (x, y) [m]; polygons may be concave and may overlap. If `axial` is true,
-    the area is weighted with x, which gives the volume [m3] per radian of the solid of revolution about x = 0.
+    the area is weighted with x. The result is then the volume per radian [m3] of the solid of revolution about x = 0.
 
     The corners and the crossings of edges divide the section into horizontal bands. Inside a band all edges are
     straight and keep their order, so that the integral over each band is exact.

@@ -13,9 +13,9 @@ if TYPE_CHECKING:  # Do not import trimesh at run time, because the import takes
 
 
 def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a closed mesh without surfaces that lie inside other surfaces, and with all normals outward.
+    """Return a closed mesh without the surfaces of its internal cavities, and with all normals outward.
 
-    A clump of spheres touches other bodies only with its outer surface, so that a hollow stone is treated as solid.
+    A hollow stone is treated as solid, because a clump of spheres touches other bodies only with its outer surface.
     """
     import trimesh
 
@@ -39,7 +39,7 @@ def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _connected(faces: np.ndarray, corners: int) -> list[np.ndarray]:
-    """Return the connected components of a mesh, each as the indices of its faces; common corners connect faces."""
+    """Return the face indices of each connected component of a mesh; faces with a common corner are connected."""
     label = np.arange(corners)
     while True:
         lowest = label[faces].min(axis=1)

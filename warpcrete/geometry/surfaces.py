@@ -25,7 +25,10 @@ class Surfaces:
         return self._face_count
 
     def add(self, vertices: np.ndarray, faces: np.ndarray, wall: int) -> int:
-        """Add a mesh without coincident corners or repeated faces, and return the index of its first face."""
+        """Add the mesh of the wall with the index `wall`, and return the index of its first face.
+
+        The mesh must have no coincident corners and no repeated faces.
+        """
         first_corner, first_face = self._corner_count, self._face_count
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
         far = np.roll(faces, -2, axis=1).ravel()
@@ -104,8 +107,8 @@ class Surfaces:
 def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
     """Return an adjacency list for each of the `count` corners of a mesh.
 
-    A list begins with the lowest index of the faces at the corner. The corners that edges connect to this corner
-    follow.
+    A list contains the lowest index of the faces at the corner, followed by the corners at the other ends of the edges
+    at this corner.
     """
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))

@@ -24,7 +24,7 @@ number."""
 class Stops:
     """Repeated strokes of a prescribed motion, each from rest to rest and followed by a pause.
 
-    After these strokes the motion continues at constant speed.
+    After these strokes, the wall moves on without further pauses.
     """
 
     count: int
@@ -56,10 +56,10 @@ class Prescribed:
     """
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Velocity that the wall has after its speed has risen from zero [m/s]."""
+    """Velocity (vx, vy, vz) of the wall at full speed, after the ramp [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Angular velocity that the wall has about the point `pivot` after its speed has risen from zero [rad/s]. If the
-    wall also has a velocity, this point moves with the wall."""
+    """Angular velocity (x, y, z) of the wall about the point `pivot` at full speed, after the ramp [rad/s]. If the wall
+    also has a velocity, this point moves with the wall."""
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ramp_time: float = 0.0
     """Duration of the linear rise of the wall's speed from zero [s]."""
@@ -94,7 +94,7 @@ class Driven:
 
     direction: tuple[float, float, float]
     force: float
-    """Driving force on the wall along `direction` [N]."""
+    """Driving force on the wall in the direction of `direction` [N]; it may be negative."""
     mass: float
     """Mass of the wall [kg]."""
     damping: float = 0.0
@@ -224,9 +224,9 @@ class PlaneWall(_Wall):
 class PipeWall(_Wall):
     """Exact inner surface of a round pipe, without facets, along an axis of lines and arcs.
 
-    It continues beyond both ends of its axis without limit; for a tube that is lifted use MeshWall with
-    `axis.tube(radius)`. A :class:`PlausibilityWarning` is given if a prescribed motion leaves the surface where it is,
-    as a motion along a straight axis does.
+    The surface continues beyond both ends of its axis without limit. For a tube that is lifted, use a MeshWall with
+    `axis.tube(radius)` instead. A prescribed motion along a straight axis does not change the surface, so it causes a
+    :class:`PlausibilityWarning`.
     """
 
     name: str
@@ -250,7 +250,7 @@ class PipeWall(_Wall):
             )
 
     def _slides_within_itself(self) -> bool:
-        """Return whether a prescribed velocity along a straight axis leaves the surface of the wall where it is."""
+        """Return whether the wall moves along its own straight axis, so that its surface does not change."""
         if not isinstance(self.motion, Prescribed) or not all(isinstance(piece, Line) for piece in self.axis.pieces):
             return False
         velocity = np.array(self.motion.velocity)
@@ -294,14 +294,15 @@ class MeshWall(_Wall):
             vertices = np.asarray(self.vertices, dtype=float)
             faces = np.asarray(self.faces, dtype=np.int32)
         except (TypeError, ValueError):
-            problem = "must be finite numbers, shape (v, 3), with faces of shape (f, 3)"
+            problem = "must be finite numbers of shape (v, 3), with faces of shape (f, 3)"
             refuse(f"{self.name}.vertices", "not numbers", problem)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
-            refuse(f"{self.name}.vertices", f"shape {vertices.shape}", "must be finite, shape (v, 3)")
+            refuse(f"{self.name}.vertices", f"shape {vertices.shape}", "must be finite numbers of shape (v, 3)")
         if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
             refuse(f"{self.name}.faces", f"shape {faces.shape}", "must have shape (f, 3) with f > 0")
         if faces.min() < 0 or faces.max() >= len(vertices):
-            refuse(f"{self.name}.faces", f"{faces.min()}..{faces.max()}", f"must lie in 0..{len(vertices) - 1}")
+            problem = f"must be indices of vertices, from 0 to {len(vertices) - 1}"
+            refuse(f"{self.name}.faces", f"{faces.min()} to {faces.max()}", problem)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
         if len(self.surface[1]) == 0:
@@ -312,7 +313,7 @@ class MeshWall(_Wall):
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Surface used for contacts: cleaned corners and triangles of the mesh.
 
-        The three arrays are the corners [m], shape (v, 3), the triangles, shape (g, 3), and the number of each triangle
+        The three arrays are the corners [m], shape (w, 3), the triangles, shape (g, 3), and the index of each triangle
         in `faces`, shape (g,).
         """
         return clean(self.vertices, self.faces)

@@ -1,4 +1,4 @@
-"""Concretes described by their mix: reading of the description, and properties calculated from it.
+"""Mixes of concrete: their files, and the properties of concrete, mortar and slip layer that follow from them.
 
-Modules here import `core`, `theory` and each other. Start with `mix`, and go on with `rheology`.
+Modules here import `core`, `theory` and each other. Readers of the code start with `mix.py`, then `rheology.py`.
 """

@@ -1,8 +1,9 @@
-"""Rules of practice against blocking of a pump line: each compares a mix, or the stones in a bore, with a known limit.
+"""Rules of practice (rules of thumb) that tell whether concrete will block a pump line.
 
-The rules answer at once and cover causes that discrete elements cannot show, such as bleeding under pressure. They do
-not replace a trial: Best & Lane (report ADA107524, Waterways Experiment Station) found a check list of ten properties
-to be the best indicator, though a conservative one.
+Each rule compares a property of the mix, or the largest stone in a bore, with a published limit. The rules need no
+simulation, and cover causes that discrete elements cannot show, such as bleeding under pressure. They do not replace a
+trial. Best & Lane (report ADA107524, Waterways Experiment Station) found that a check list of ten properties predicts
+blocking best, but is conservative.
 """
 
 import math
@@ -24,7 +25,7 @@ ANSWERS = {
     "blocks": "yes, by rules of practice",
 }
 """Answers to the question whether concrete will block a pump line, by the worst verdict of all rules of practice."""
-TOO_LITTLE = "not enough is known of the concrete to say"
+TOO_LITTLE = "too little is known about the concrete to say"
 """Answer if most rules could not be applied, and no other rule says that the line blocks."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
 """Maximum ratio of stone diameter to bore for which concrete can be pumped: for crushed and for rounded stones (ACI
@@ -34,8 +35,8 @@ SAFE = 0.25
 SELF_COMPACTING = 0.55
 """Spread [m] from which a concrete counts as self-compacting (class SF1 of EN 206)."""
 POWDER_MIN, POWDER_SAFE = 250.0, 300.0
-"""Two masses of powder in a cubic metre of concrete [kg/m3]. With less than the first, concrete blocked in tests
-(Tuutti 1976). With the second or more, the rule judges the mix to be safe."""
+"""Two powder contents of concrete [kg/m3]. Below the first, concrete blocked in tests (Tuutti 1976). From the second
+on, the rule judges the mix to be safe."""
 VOIDS = (0.20, 0.27)
 """Usual range of the volume of voids in compacted sand and stones, per bulk volume [m3/m3]. The range is an assumption
 for mixes that state no voids."""
@@ -88,8 +89,8 @@ class RuleVerdict:
     found: str
     """Sentence with the numbers on which the verdict is based."""
     change: str
-    """Advice on how to change the mix or the line. If the verdict is 'unknown', the advice names the entry that the mix
-    lacks; if it is 'fine', it is empty."""
+    """Advice on how to change the mix or the line. It is empty for the verdict 'fine'. For the verdict 'unknown', it
+    names the entry that the mix lacks."""
     source: str
 
     @property
@@ -115,8 +116,8 @@ def blocking_rules(
     """Return the verdicts of all rules of practice on blocking, for a mix in a pipe with an inner diameter `bore` [m].
 
     `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
-    the result contains only the rule that compares the stone with the bore. The verdicts state amounts also in US units
-    if `customary` is true, or if the mix is described in these units.
+    the result contains only the rule that compares the stone with the bore. The verdicts also state amounts in US units
+    if `customary` is true, or if the mix is described in US units.
     """
     found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix, customary)]
     if mix is not None:
@@ -146,11 +147,11 @@ def narrowest(line: PipeLine) -> Part:
 def stone_in_bore(
     bore: float | None, stone: float | None, mix: MixEntries | None, customary: bool = False
 ) -> RuleVerdict:
-    """Compare the largest stone with the bore: stones that are too large wedge and form an arch."""
+    """Judge whether the largest stone is too large for the bore; such stones jam and form an arch across the pipe."""
     name = "stone in bore"
     if stone is None:
-        return RuleVerdict(name, "unknown", "the largest stone is not known", "add sieve or sizes to the mix, or "
-                           "largest_stone to the line", ACI)  # fmt: skip
+        return RuleVerdict(name, "unknown", "the size of the largest stone is not known",
+                           "add 'sieve' or 'sizes' to the mix, or 'largest_stone' to the line", ACI)  # fmt: skip
     us = customary or (mix is not None and mix.customary)
     largest, wide = both(us, "mm", stone), both(us, "mm", stone / SAFE)
     if bore is None:
@@ -162,8 +163,8 @@ def stone_in_bore(
     flowing = mix is not None and (mix.spread or 0) >= SELF_COMPACTING
     limit = ROUNDED if round_ones and not flowing else CRUSHED
     kind = "rounded" if round_ones else "crushed" if mix is not None and mix.shape is not None else "unknown shape"
-    words = f"{largest} in {both(us, 'mm', bore)} is {ratio:.3g}; {SAFE:g} is safe, {limit:.2g} the limit ({kind}"
-    words += ", self-compacting)" if flowing else ")"
+    words = (f"a stone of {largest} in a bore of {both(us, 'mm', bore)} has the ratio {ratio:.3g}; {SAFE:g} is safe, "
+             f"and {limit:.2g} is the limit ({kind}{', self-compacting' if flowing else ''})")  # fmt: skip
     widths = f"use a bore of {wide}, or stones up to {both(us, 'mm', SAFE * bore, digits=3)}"
     if ratio > limit * (1 + 1e-9):
         return RuleVerdict(name, "blocks", words, widths, f"{ACI}; {SOCIETY}")
@@ -173,13 +174,15 @@ def stone_in_bore(
 
 
 def powder(mix: MixEntries) -> RuleVerdict:
-    """Compare the mass of powder with the smallest masses of powder in concretes that could be pumped."""
+    """Judge whether the concrete contains enough powder; concretes with less powder blocked in tests."""
     name, mass = "powder", powder_mass(mix.parts)
     source = f"Tuutti 1976, 16 mm stone: blocked below 250 kg/m3, least pressure at 320; {JGJ}: 300"
     if mass == 0:
-        return RuleVerdict(name, "unknown", "the mass of cement and fines is not known", "add parts to the mix", source)
+        return RuleVerdict(
+            name, "unknown", "the mass of cement and other powder is not known", "add 'parts' to the mix", source
+        )
     us = mix.customary
-    words = f"{both(us, 'kg/m3', mass)} of cement and other powder; {both(us, 'kg/m3', POWDER_SAFE)} or more are safe"
+    words = f"{both(us, 'kg/m3', mass)} of cement and other powder; {both(us, 'kg/m3', POWDER_SAFE)} or more is safe"
     if mass >= POWDER_SAFE:
         return RuleVerdict(name, "fine", words, "", source)
     more = f"add {both(us, 'kg/m3', POWDER_SAFE - mass, digits=3)} of cement, ash, slag or limestone"
@@ -193,7 +196,7 @@ def paste(mix: MixEntries) -> RuleVerdict:
     """
     name, source = "paste and voids", "void meter of Browne & Bamforth 1977"
     if mix.paste_share is None or mix.sand_and_stone is None:
-        return RuleVerdict(name, "unknown", "the volume of the paste is not known", "add parts to the mix", source)
+        return RuleVerdict(name, "unknown", "the volume of the paste is not known", "add 'parts' to the mix", source)
     low, high = VOIDS if mix.voids is None else (mix.voids - VOIDS_ERROR, mix.voids + VOIDS_ERROR)
     needed = [mix.sand_and_stone * voids / (1 - voids) for voids in (low, high)]
     measured = "assumed" if mix.voids is None else "measured"
@@ -201,8 +204,8 @@ def paste(mix: MixEntries) -> RuleVerdict:
     def shown(*volumes: float) -> str:
         return both(mix.customary, "l/m3", *volumes, digits=3)
 
-    words = (f"{shown(mix.paste_share)} of powder and water; the voids of {shown(mix.sand_and_stone)} "
-             f"of aggregate take {shown(*needed)} (voids of {100 * low:.3g} to "
+    words = (f"{shown(mix.paste_share)} of powder and water; the voids between {shown(mix.sand_and_stone)} "
+             f"of aggregate have {shown(*needed)} (void content {100 * low:.3g} to "
              f"{100 * high:.3g} %, {measured})")  # fmt: skip
     if mix.paste_share > needed[1]:
         return RuleVerdict(name, "fine", words, "", source)
@@ -212,24 +215,26 @@ def paste(mix: MixEntries) -> RuleVerdict:
 
 
 def sand_share(mix: MixEntries) -> RuleVerdict:
-    """Compare the share of sand in the aggregate with the required range and with the range in pumped concretes.
+    """Compare the share of sand in the aggregate with the shares in concretes that have been pumped.
 
-    Too little sand is a risk: in the tests of Tuutti (1976), pumping failed suddenly above a certain share of stones.
+    The verdict also states the range that the standard JGJ/T 10 requires. Too little sand is a risk: in the tests of
+    Tuutti (1976), pumping failed suddenly above a certain share of stones.
     """
     name, source = "sand", f"{JGJ}; {SHEN}; Tuutti 1976"
     share = mix.sand_share
     if share is None:
-        advice = "add parts to the mix, with sand and gravel apart"
+        advice = "add 'parts' to the mix, with separate entries for sand and gravel"
         if mix.parts:
-            advice = "name sand and gravel apart in parts, or state the share of the gravel, as in 'aggregate: 36 %'"
+            advice = ("use separate entries for sand and gravel in 'parts', or state the volume share of the gravel, "
+                      "as in 'aggregate: 36 %'")  # fmt: skip
         return RuleVerdict(name, "unknown", "the share of sand in the aggregate is not known", advice, source)
-    words = (f"{100 * share:.3g} % of the aggregate; {100 * SAND_SHARES[0]:g} to {100 * SAND_SHARES[1]:g} % "
-             f"are required, {100 * PUMPED_SAND_SHARES[0]:.3g} to {100 * PUMPED_SAND_SHARES[1]:g} % were "
-             "pumped")  # fmt: skip
+    words = (f"{100 * share:.3g} % of the aggregate; {JGJ} requires {100 * SAND_SHARES[0]:g} to "
+             f"{100 * SAND_SHARES[1]:g} %; concretes with {100 * PUMPED_SAND_SHARES[0]:.3g} to "
+             f"{100 * PUMPED_SAND_SHARES[1]:g} % have been pumped")  # fmt: skip
     if share < PUMPED_SAND_SHARES[0] - 1e-9:
-        return RuleVerdict(name, "risky", words, "replace stones by sand", source)
+        return RuleVerdict(name, "risky", words, "replace some of the stones by sand", source)
     if share > PUMPED_SAND_SHARES[1] + 1e-9:
-        return RuleVerdict(name, "risky", words, "replace sand by stones, or add paste", source)
+        return RuleVerdict(name, "risky", words, "replace some of the sand by stones, or add paste", source)
     return RuleVerdict(name, "fine", words, "", source)
 
 
@@ -238,10 +243,10 @@ def fine_sand(mix: MixEntries) -> RuleVerdict:
     name, source = "fine sand", "GB 50119; a Japanese check list"
     sieve = "0.3 mm (No. 50 sieve)" if mix.customary else "0.3 mm"
     if mix.fine_sand is None:
-        return RuleVerdict(name, "unknown", f"the share of the sand below {sieve} is not known",
-                           "add it to the mix, as in 'fine_sand: 18 %'", source)  # fmt: skip
+        return RuleVerdict(name, "unknown", f"the share of the sand finer than {sieve} is not known",
+                           "add this share to the mix, as in 'fine_sand: 18 %'", source)  # fmt: skip
     low, high = FINE_SAND
-    words = f"{100 * mix.fine_sand:.3g} % of the sand are below {sieve}; {100 * low:g} to {100 * high:g} % are safe"
+    words = f"{100 * mix.fine_sand:.3g} % of the sand is finer than {sieve}; {100 * low:g} to {100 * high:g} % is safe"
     if mix.fine_sand < low - 1e-9:
         return RuleVerdict(name, "risky", words, "blend with a finer sand, or add powder", source)
     if mix.fine_sand > high + 1e-9:
@@ -250,28 +255,28 @@ def fine_sand(mix: MixEntries) -> RuleVerdict:
 
 
 def bleeding(mix: MixEntries) -> RuleVerdict:
-    """Judge whether pressure can squeeze water out of the concrete, which would leave a plug of dry stones."""
+    """Judge whether pressure can squeeze water out of the concrete, so that a plug of dry stones is left."""
     name, source = "bleeding", f"{BLEEDING}; limits: {JGJ}, and Indian practice"
     ratio, water = mix.water_binder, water_mass(mix.parts)
     if ratio is None:
         return RuleVerdict(name, "unknown", "the ratio of water to binder is not known",
-                           "add parts or water_binder to the mix", source)  # fmt: skip
-    words, good = f"water over powder {ratio:.2f}; {WATER_BINDER:.2f} or less is safe", ratio <= WATER_BINDER
+                           "add 'parts' or 'water_binder' to the mix", source)  # fmt: skip
+    words, good = f"water-binder ratio {ratio:.2f}; {WATER_BINDER:.2f} or less is safe", ratio <= WATER_BINDER
     if water > 0:
         sand = mix.sand_mass * (FINE_SAND[0] if mix.fine_sand is None else mix.fine_sand)
         fines = (powder_mass(mix.parts) + sand) / water
-        words += f"; powder and fine sand are {fines:.2f} times the water, {FINES_PER_WATER:g} or more is safe"
+        words += f"; mass of powder and fine sand {fines:.2f} times the water, {FINES_PER_WATER:g} or more is safe"
         good = good and fines >= FINES_PER_WATER
     if good:
         return RuleVerdict(name, "fine", words, "", source)
     if mix.thickener:
-        return RuleVerdict(name, "fine", f"{words}; the viscosity-modifying agent holds the water", "", source)
+        return RuleVerdict(name, "fine", f"{words}; the viscosity-modifying admixture holds the water", "", source)
     if ratio <= WATER_BINDER and mix.sand_mass == 0:
-        return RuleVerdict(name, "unknown", f"{words}; the mass of the sand is not known, and counts as 0",
-                           "add parts to the mix, with sand and gravel apart", source)  # fmt: skip
-    return RuleVerdict(name, "risky", words, "lower the water, add powder or a viscosity-modifying agent, and test the "
-                       f"bleeding under pressure (GB/T 50080: 10 s and 140 s at {both(mix.customary, 'MPa', 3.5e6)})",
-                       source)  # fmt: skip
+        return RuleVerdict(name, "unknown", f"{words}; the mass of the sand is not known, and 0 is assumed",
+                           "add 'parts' to the mix, with separate entries for sand and gravel", source)  # fmt: skip
+    return RuleVerdict(name, "risky", words, "reduce the water, add powder or a viscosity-modifying admixture, and "
+                       "measure the bleeding under pressure (GB/T 50080: 10 s and 140 s at "
+                       f"{both(mix.customary, 'MPa', 3.5e6)})", source)  # fmt: skip
 
 
 def slump(mix: MixEntries) -> RuleVerdict:
@@ -286,45 +291,45 @@ def slump(mix: MixEntries) -> RuleVerdict:
         return both(mix.customary, "mm", *sizes)
 
     if mix.spread is not None:
-        words = f"spread {shown(mix.spread)}; up to {shown(LARGEST_SPREAD)} were pumped"
+        words = f"spread {shown(mix.spread)}; concretes with up to {shown(LARGEST_SPREAD)} have been pumped"
         if mix.spread < SELF_COMPACTING and mix.slump is None:
-            return RuleVerdict(name, "unknown", f"{words}; it counts as the spread of a cone without jolts",
-                               "if it was measured on a flow table with jolts (EN 12350-5), state the slump instead, "
-                               "because the concrete is much stiffer then", source)  # fmt: skip
+            return RuleVerdict(name, "unknown", f"{words}; the spread is assumed to come from a cone without jolts",
+                               "if a flow table with jolts was used (EN 12350-5), state the slump instead, because "
+                               "the concrete is then much stiffer", source)  # fmt: skip
         if mix.spread <= LARGEST_SPREAD:
             return RuleVerdict(name, "fine", words, "", source)
         return RuleVerdict(name, "risky", words, "lower the spread; check that stones do not sink", source)
     if mix.slump is None:
         return RuleVerdict(
-            name, "unknown", "neither slump nor spread is known", "add slump or spread to the mix", source
+            name, "unknown", "neither slump nor spread is known", "add 'slump' or 'spread' to the mix", source
         )
     words = f"slump {shown(mix.slump)}; {shown(usual, largest)} are usual"
     if mix.slump < usual - 1e-9:
-        limit = f"; below {shown(least)} it cannot be pumped" if mix.slump < least else ""
-        return RuleVerdict(name, "risky", words + limit, "raise it with a plasticizer, not with water", source)
+        limit = f"; concrete below {shown(least)} cannot be pumped" if mix.slump < least else ""
+        return RuleVerdict(name, "risky", words + limit, "raise the slump with a plasticizer, not with water", source)
     if mix.slump > largest + 1e-9 and (mix.thickener or mix.plasticizer):
         cause = "superplasticizer" if mix.plasticizer else "viscosity-modifying admixture"
-        return RuleVerdict(name, "fine", f"{words}, and more with a {cause}, as here", "", source)
+        return RuleVerdict(name, "fine", f"{words}; a {cause}, as in this mix, allows more", "", source)
     if mix.slump > largest + 1e-9 and not mix.parts:
-        words += "; more needs a superplasticizer"
-        return RuleVerdict(name, "unknown", words, "add parts to the mix, with its superplasticizer", source)
+        words += "; a larger slump needs a superplasticizer"
+        return RuleVerdict(name, "unknown", words, "add 'parts' to the mix, with its superplasticizer", source)
     if mix.slump > largest + 1e-9:
-        return RuleVerdict(name, "risky", words, "reach this slump with a superplasticizer, not with water, and state "
-                           "it in parts", source)  # fmt: skip
+        return RuleVerdict(name, "risky", words, "reach this slump with a superplasticizer, not with water, and add "
+                           "the superplasticizer to 'parts'", source)  # fmt: skip
     return RuleVerdict(name, "fine", words, "", source)
 
 
 def lightweight(mix: MixEntries) -> Iterator[RuleVerdict]:
-    """Yield a verdict on lightweight concrete, whose aggregate absorbs water under the pressure of the pump.
+    """Yield a verdict if the concrete is lightweight: its aggregate absorbs water under the pressure of the pump.
 
-    Other concrete gets no verdict.
+    Nothing is yielded for other concrete.
     """
     if mix.density >= LIGHTWEIGHT:
         return
     name, us = "lightweight aggregate", mix.customary
     words, good = f"density {both(us, 'kg/m3', mix.density)}", True
     if mix.slump is None and mix.spread is None and not mix.parts:
-        yield RuleVerdict(name, "unknown", words, "add slump or parts to the mix", CHECK_LIST)
+        yield RuleVerdict(name, "unknown", words, "add 'slump' or 'parts' to the mix", CHECK_LIST)
         return
     if mix.slump is not None and mix.spread is None:
         words += f"; slump {both(us, 'mm', mix.slump)}, more than {both(us, 'mm', LIGHTWEIGHT_SLUMP)} is safe"
@@ -338,7 +343,7 @@ def lightweight(mix: MixEntries) -> Iterator[RuleVerdict]:
 
 
 def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
-    """Yield a verdict on the straight pipe behind each reducer that narrows.
+    """Yield the verdict "risky" for each reducer that narrows and has too little straight pipe behind it.
 
     Stones separate from the mortar in a reducer, and a long enough straight pipe behind it mixes them again.
     """
@@ -353,13 +358,16 @@ def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
         else:
             run = math.inf
         follows, required = (both(line.customary, "m", length, digits=3) for length in (run, TAPER_RUN))
-        words = f"{follows} of straight pipe follow part {part.number}, {part.label}; {required} are required"
+        words = f"{follows} of straight pipe behind part {part.number}, {part.label}; {required} is required"
         if run < TAPER_RUN:
-            yield RuleVerdict("behind a reducer", "risky", words, "move the next bend or hose away", JGJ)
+            yield RuleVerdict("behind a reducer", "risky", words, "move the next bend or hose downstream", JGJ)
 
 
 def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
-    """Return the answer of the rules in one line, and their verdicts, the worst first, as lines of text."""
+    """Return lines of text: first the answer to "will it block?", then the verdicts of the rules, the worst first.
+
+    `where` describes the part of the line to which the answer applies, such as the narrowest part.
+    """
     counts = [f"{sum(each.verdict == name for each in verdicts)} {name}" for name in reversed(VERDICTS)
               if any(each.verdict == name for each in verdicts)]  # fmt: skip
     order = sorted(verdicts, key=lambda each: -VERDICTS.index(each.verdict))

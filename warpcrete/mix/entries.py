@@ -21,14 +21,14 @@ class Entry:
 
 NUMBERS = {
     "density": Entry(
-        "Density of the concrete; can be replaced by its parts",
+        "Density of the concrete; not needed if 'parts' lists all ingredients",
         "kg/m3",
         1000,
         5000,
-        "write units other than kg/m3 behind the number, as in '2.35 t/m3'",
+        "write a unit other than kg/m3 behind the number, as in '2.35 t/m3'",
     ),
-    "volume": Entry("Volume of concrete in the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
-    "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent with the sign, as in '2 %'"),
+    "volume": Entry("Volume of the whole load, if 'parts' states the masses in the load", "m3", 1e-3, 1e4),
+    "air": Entry("Air content, as a share of the volume", "m3/m3", 0, 0.3, "write a percentage with %, as in '2 %'"),
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
     "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "write the unit, as in '180 mm' or '7 in', and give "
                                                                 "'spread' instead for softer concrete"),
@@ -36,28 +36,28 @@ NUMBERS = {
                     "write the unit, as in '650 mm' or '26 in', and give 'slump' instead for stiffer concrete"),
     "t500": Entry("Time until the spread reaches 500 mm", "s", 0.5, 120),
     "water_binder": Entry(
-        "Mass of water over mass of all powder (cement, ash, slag, filler); not needed if parts are given",
+        "Mass of water divided by mass of all powder (cement, ash, slag, filler); not needed with 'parts'",
         "1",
         0.12,
         1.2,
     ),
-    "voids": Entry("Voids of sand and stones together when compacted, share of their bulk volume", "m3/m3", 0.1, 0.5,
-                   "write per cent with the sign, as in '24 %'"),
-    "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1,
-                       "write per cent with the sign, as in '18 %'"),
+    "voids": Entry("Void content of the compacted mixture of sand and stones", "m3/m3", 0.1, 0.5,
+                   "write a percentage with %, as in '24 %'"),
+    "fine_sand": Entry("Share of the sand's mass that is finer than 0.3 mm", "1", 0, 1,
+                       "write a percentage with %, as in '18 %'"),
 }  # fmt: skip
 """Entries of a mix that are single numbers, by name, each with its meaning, unit and possible range."""
 OTHERS = {
-    "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
-    "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
+    "parts": "Mass of every ingredient in a cubic metre [kg/m3], or an amount with a unit; volumes for liquids only",
+    "aggregate": "Coarse aggregate: its share of the volume, or its mass in a cubic metre, with a unit",
     "sieve": "Sieve curve of the coarse aggregate: openings [mm], and the share of the mass that passes each",
-    "sizes": "Largest coarse aggregate [m], or the smallest and the largest, instead of a sieve curve",
+    "sizes": "Size of the largest coarse aggregate [m], or smallest and largest size; instead of 'sieve'",
     "shape": "Shape of the coarse aggregate: a word, or the ratio of longest to shortest width",
     "concrete": "Measured properties of the concrete",
     "mortar": "Measured properties of the mortar",
     "viscometer": "Points of a viscometer: pairs of shear rate and stress, or the path of a CSV file",
     "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
-    "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
+    "thickener": "True if the concrete contains a viscosity-modifying admixture that 'parts' does not list",
 }
 """Names of the entries of a mix that are not single numbers, each with its meaning."""
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
@@ -106,8 +106,7 @@ class MixEntries:
     """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
     sizes: tuple[float, float] | None
     shape: str | None
-    """Shape of the stones by the name that scenes of discrete elements use, such as 'spheres'; None if the mix states
-    none."""
+    """Name of the stones' shape in scenes of discrete elements, such as 'spheres'; None if the mix states no shape."""
     concrete: Measured
     mortar: Measured
     viscometer_points: tuple[list[float], list[float]] | None
@@ -134,7 +133,7 @@ class MixEntries:
     fine_sand: float | None = None
     """Fraction of the sand's mass in grains smaller than 0.3 mm."""
     customary: bool = False
-    """True if the mix states amounts in US units, so that texts for the user have these units beside metric ones."""
+    """True if the mix states amounts in US units. Texts for the user then contain both US and metric units."""
 
     @property
     def largest(self) -> float | None:
@@ -155,8 +154,9 @@ class MixEntries:
     def sand_share(self) -> float | None:
         """Share of sand in the aggregate; None if unknown.
 
-        The share is by mass if the ingredients state it. It is by volume if sand and stones have different densities,
-        as in lightweight and heavy concrete, or if the ingredients do not tell sand from stones.
+        The share is a mass fraction if the ingredients state the masses of sand and stones. It is a volume fraction if
+        sand and stones have different densities, as in lightweight and heavy concrete, or if the ingredients do not
+        tell sand from stones.
         """
         sand, stone = sand_and_stone_masses(self.parts)
         fine, coarse = sand_and_stone_volumes(self.parts, self.aggregate_density)

@@ -34,7 +34,7 @@ class Figure:
     `unit`."""
     unit: str
     way: str
-    """Entry of the mix from which the value follows, such as 'slump of 200 mm'."""
+    """Origin of the value: the entry of the mix from which it follows, such as 'slump of 200 mm'."""
     source: str
     """Publication of the relation from which the value follows, and a remark on how reliable the value is."""
     instrument: str = "rheometer"
@@ -61,15 +61,16 @@ def around(name: str, value: float, off: float, unit: str, way: str, source: str
 
 
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
-    """Return the first of several values for one property, and remarks on differences between the values.
+    """Return the first of several values for one property, after a check that the other values do not contradict it.
 
-    The values come from different entries of the mix, and each has an uncertainty band. If the band of another value
-    does not overlap the first one, the ratio between the two band ends that are nearest to each other has a limit:
+    The result also contains remarks on differences between the values. The values come from different entries of the
+    mix, and each has an uncertainty band. If two bands do not overlap, take the ratio of the higher band's lower end to
+    the lower band's upper end. This ratio has a limit:
 
-    - The bands of two values from rheometers must overlap.
-    - Between a rheometer and a cone, the limit is :data:`INSTRUMENTS`.
-    - Between spread and slump of a cone, the limit is :data:`CONES`. In this case, the band of the result is widened
-      until it reaches the other band.
+    - 1 for two values from rheometers, so that their bands must overlap.
+    - :data:`INSTRUMENTS` for a value from a rheometer and a value from a slump cone.
+    - :data:`CONES` for two values that follow from spread and slump. The band of the result is then widened until it
+      reaches the other band.
 
     Raises :class:`SceneError` if a ratio is too large.
     """
@@ -82,10 +83,10 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
             refuse(f"mix {first.name}", f"{first.span} from {first.way}", f"contradicts {other.span} from {other.way}",
                    "leave out the less reliable measurement, or state its uncertainty")  # fmt: skip
         if apart > 1 and cones:
-            remarks.append(f"{words}; the first is used, and its band reaches to the second's")
+            remarks.append(f"{words}; the first is used, and its band is widened up to the band of the second")
             first = replace(first, low=min(first.low, other.high), high=max(first.high, other.low))
         elif apart > 1:
-            remarks.append(f"{words}; the first is used, because instruments often differ by as much")
+            remarks.append(f"{words}; the first value is used, because instruments often differ by as much")
     return first, remarks
 
 

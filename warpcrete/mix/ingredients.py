@@ -190,7 +190,11 @@ def _density(name: str, coarse: float) -> float | None:
 
 
 def is_coarse(name: str) -> bool:
-    """Return whether an ingredient is coarse aggregate, by a word in its name or by sizes that do not begin with 0."""
+    """Return whether the name of an ingredient means coarse aggregate.
+
+    The name contains a word such as "gravel", or it is aggregate with a range of sizes that does not begin with 0:
+    "aggregate 4/16" is coarse, "aggregate 0/4" is not.
+    """
     if any(word in COARSE for word in _words(name)):
         return True
     rock = _noun(name) in ("aggregate", "aggregates", "crushed") and "sand" not in _words(name)
@@ -200,10 +204,10 @@ def is_coarse(name: str) -> bool:
 def _noun(name: str) -> str:
     """Return the word of an ingredient's name that tells what it is: usually the last word that the program knows.
 
-    The result is empty if no word is known. For example, limestone sand is sand, silica fume is powder, and limestone
-    that is crushed or has a size ("limestone 8/16", "#57 limestone") is aggregate, and so is "#57" alone. "Type",
-    "powder" and "binder" stand for cement only if there is no other known word, as in "Type I/II", and powder of stone
-    is filler.
+    The result is empty if no word is known. For example, the result is "sand" for limestone sand, and a word for powder
+    for silica fume. Limestone that is crushed or has a size ("limestone 8/16", "#57 limestone") is aggregate, and so is
+    "#57" alone. "Type", "powder" and "binder" mean cement only if there is no other known word, as in "Type I/II".
+    Powder of stone is filler.
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
@@ -241,17 +245,17 @@ def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
 def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     """Return the mass of an ingredient in a cubic metre of concrete [kg/m3].
 
-    `value` is a number [kg/m3], a text with a unit of mass per volume, or, for liquids only, of volume per volume such
-    as "33 gal/yd3". With the volume `load` of a whole load [m3], it may also be the mass or the volume of liquid in
-    that load. Raises :class:`SceneError` for other texts.
+    `value` is a number [kg/m3], or a text with a unit of mass per volume. For liquids it may also be a volume per
+    volume, such as "33 gal/yd3". If the volume of a whole `load` of concrete [m3] is given, `value` may also be the
+    mass or the liquid volume in this load, such as "900 kg". Raises :class:`SceneError` for other texts.
     """
     field = f"mix parts: {name}"
     _check_stated(name, value)
     whole = is_amount(value, "kg") or is_amount(value, "m3")
     if whole and load is None:
         problem = f"must be a number with one of the units {', '.join(unit_names('kg/m3'))}"
-        refuse(field, value, f"{problem}, because the volume of concrete in the load is unknown",
-               "or add this volume, as in 'volume: 8 yd3'")  # fmt: skip
+        refuse(field, value, f"{problem}, because the volume of the load is unknown",
+               "or add the volume of the load, as in 'volume: 8 yd3'")  # fmt: skip
     liquid = is_amount(value, "m3") or (is_amount(value, "m3/m3") and not str(value).rstrip().endswith("%"))
     if liquid:
         noun = _noun(name)
@@ -265,41 +269,40 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
         units = (", ".join(unit_names(each)) for each in ("kg", "kg/m3"))
         refuse(field, value, "must be a number with one of the units {} for the whole load, or with one of the units "
                "{} for a volume of concrete".format(*units),
-               "leave out separators of thousands" if "," in value else "")  # fmt: skip
+               "write numbers without a comma" if "," in value else "")  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
 
 def _check_stated(name: str, value: Any) -> None:
-    """Refuse an ingredient without an amount, or with an amount that counts per mass of cement."""
+    """Refuse an ingredient without an amount, or with an amount in sacks, in per cent or per 100 lb of cement."""
     field, text = f"mix parts: {name}", value if isinstance(value, str) else ""
     admixture = _noun(name) in LIQUIDS and _noun(name) not in WATERS
     if value is None or isinstance(value, bool) or (admixture and text and not re.search(r"\d", text)):
         hints = []
         if admixture:
-            hints = ["state it, as in '3 kg/m3' or '80 oz/yd3'; if it is unknown, any usual amount will do, because "
-                     "the pressure of a line depends little on it"]  # fmt: skip
+            hints = ["state the amount, as in '3 kg/m3' or '80 oz/yd3'; if you do not know it, state a usual amount, "
+                     "because it has little effect on the pump pressure"]  # fmt: skip
         if value is None:
             hints.append("a comma inside braces {...} begins another ingredient: put a name with a comma in quotes")
         refuse(field, value, "has no amount", "; ".join(hints))
     if (sacks := re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)[\s-]*(?:sack|bag)s?(?:/yd3|/cy)?", text.strip())) is not None:
         hint = f"a US sack of cement has 94 lb: write '{94 * float(sacks[1]):g} lb/yd3' if they are per cubic yard"
-        refuse(field, value, "counts sacks, but must be a mass in a volume of concrete", hint)
+        refuse(field, value, "is a number of sacks, but must be a mass per volume of concrete", hint)
     if "cwt" in text:
         hint = "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3"
-        refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete", hint)
+        refuse(field, value, "is an amount per 100 lb of cement, but must be an amount per volume of concrete", hint)
     if "%" in text:
         hint = "give its mass in a cubic metre, as in '120 kg/m3'"
         if admixture:
             hint = "multiply it by the kilograms of cement in a cubic metre, divide by 100, and write kg/m3"
-        refuse(field, value, "is a share, but must count per volume of concrete", hint)
+        refuse(field, value, "is a percentage, but must be a mass per volume of concrete", hint)
 
 
 def density_of(name: str) -> float | None:
     """Return the usual density of an ingredient [kg/m3], or None if it is unknown or varies too much.
 
-    The density of a heavy rock counts, even if the ingredient is sand or gravel of this rock.
-
-    An unknown name causes a warning. Raises :class:`SceneError` for a name that is probably misspelt.
+    Sand or gravel of a heavy rock, such as "barite sand", has the density of this rock. An unknown name causes a
+    warning. Raises :class:`SceneError` for a name that is probably misspelt.
     """
     if (found := _density(name, DENSITIES["gravel"])) is not None or any(word in VARIABLE for word in _words(name)):
         return found
@@ -310,8 +313,8 @@ def density_of(name: str) -> float | None:
     if meant:
         refuse("mix parts", name, "is not a known ingredient", meant)
     warn(
-        f"mix parts: {quoted(name)} is not a known ingredient: it counts neither as powder nor as stone, and the "
-        "sum of the volumes cannot be checked; use a name such as 'cement', 'sand', 'gravel' or 'superplasticizer'"
+        f"mix parts: {quoted(name)} is not a known ingredient: it is taken neither for powder nor for aggregate, and "
+        "the total volume cannot be checked; use a name such as 'cement', 'sand', 'gravel' or 'superplasticizer'"
     )
     return None
 
@@ -331,20 +334,20 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
     if 0 <= POSSIBLE_VOLUMES[1] - filled < unknown / DENSEST:
         problem = (f"contain {unknown:.4g} kg/m3 of unknown density, for which the other parts, with {filled:.3f} m3, "
                    "leave no room in 1 m3")  # fmt: skip
-        refuse("mix parts", ", ".join(parts), problem, "check the masses, and leave out what is no ingredient")
+        refuse("mix parts", ", ".join(parts), problem, "check the masses, and remove entries that are no ingredients")
     if air is not None:
         gap = 1 - filled - air
-        words = f"fill {filled + air:.3f} m3 of 1 m3, with {100 * air:.3g} % of air"
+        words = f"fill {filled + air:.3f} m3 instead of 1 m3, including {100 * air:.3g} % of air"
         if gap < -VOLUME_ERROR or (complete and gap > VOLUME_ERROR):
             refuse("mix parts", ", ".join(parts), words, "list all ingredients of a cubic metre, in kg/m3")
         if gap < -VOLUME_WARNING or (complete and gap > VOLUME_WARNING):
             warn(f"mix parts: {words}; check the masses and the air content{f'; {MOIST_SAND}' if gap > 0 else ''}")
         return
-    words = f"fill {filled:.3f} m3 of 1 m3"
+    words = f"fill {filled:.3f} m3 of a cubic metre"
     if filled > POSSIBLE_VOLUMES[1] or (complete and filled < POSSIBLE_VOLUMES[0]):
         hint = "list all ingredients of a cubic metre, in kg/m3"
         if complete and water_mass(parts) == 0:
-            hint += ", with the water"
+            hint += ", including the water"
         if POSSIBLE_VOLUMES[0] < filled * POUND / YARD**3 < POSSIBLE_VOLUMES[1]:
             hint += ", or write units behind the numbers, as in '564 lb/yd3'"
         refuse("mix parts", ", ".join(parts), f"{words} without air", hint)

@@ -104,10 +104,10 @@ def slump_layer(slump: float) -> tuple[float, float]:
 def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator[Pair]:
     """Generate estimates of the slip layer, each a pair of viscosity and yield stress, the most reliable one first.
 
-    Sources are, in this order: measurements of the layer, the composition of the paste, the viscosity of the concrete
-    and its aggregate, the slump, and finally an assumption. A source is skipped if the mix contains no information on
-    it. `concrete` supplies density, yield stress and viscosity of the bulk, and `viscosity` is the bulk's viscosity
-    with its band and origin.
+    Estimates follow, in this order, from measurements of the layer, the composition of the paste, the viscosity of the
+    concrete and its aggregate, the slump, and finally an assumption. If the mix lacks the data for an estimate, the
+    estimate is left out. `concrete` supplies density, yield stress and viscosity of the bulk, and `viscosity` is the
+    bulk's viscosity with its uncertainty band and origin.
     """
     yield from _measured(given, concrete)
     thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)
@@ -170,9 +170,9 @@ fitted to pipe pressures (key True) and one measured with a tribometer (key Fals
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
     """Return the factors from a measured constant of the slip layer to the lower and the upper end of its band.
 
-    They follow from the stated relative `uncertainty`, or without it from the kind of the measurement: in a `pipe`, or
-    with a tribometer. The band of a measurement in a pipe extends by the same factor to both sides, like the band of a
-    fit to a trial line.
+    The factors follow from the stated relative `uncertainty`. If it is None, they follow from the kind of the
+    measurement, in a `pipe` or with a tribometer. For a pipe, the two factors are 1 / f and f, as for the band of a fit
+    to a trial line.
     """
     if pipe:
         factor = 1 + (PIPE_UNCERTAINTY if uncertainty is None else uncertainty)
@@ -205,7 +205,10 @@ def _pair(
 
 
 def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
-    """Return a slip layer fitted to points; its band covers the errors of the fit and of the kind of measurement."""
+    """Return a slip layer fitted to `count` points of a pipe or a tribometer.
+
+    Its uncertainty band covers both the error of the fit and the usual error of this kind of measurement.
+    """
     found = []
     for name, value, error, unit in (("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
                                      ("slip yield", fit.offset, fit.offset_error, "Pa")):  # fmt: skip

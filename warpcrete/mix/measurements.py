@@ -63,7 +63,10 @@ class Layer:
 
     @property
     def is_of_this_delivery(self) -> bool:
-        """True if the slip layer was fitted to pressures of a pipe with a stated uncertainty, as by a trial line."""
+        """True if the slip layer was fitted to pressures of a trial line, pumped with this delivery of the concrete.
+
+        Such a fit states its uncertainty; a layer from an earlier delivery does not.
+        """
         return self.pipe and self.constants is not None and self.constants.uncertainty is not None
 
 
@@ -134,7 +137,7 @@ def read_layer(given: Any, folder: Path) -> Layer:
     if "gauges" in given:
         one_of("mix layer: gauges", given["gauges"], (CONTRADICTORY,))
         if source != "pipe":
-            refuse("mix layer: gauges", given["gauges"], "belongs to a layer 'from: pipe'", "add 'from: pipe'")
+            refuse("mix layer: gauges", given["gauges"], "is allowed only with 'from: pipe'", "add 'from: pipe'")
     own = {key: value for key, value in given.items() if key not in ("from", "gauges")}
     constants = read_constants("layer", own, LAYER_UNITS, math.inf if source == "pipe" else LARGEST_UNCERTAINTY)
     if not set(UNITS) <= set(constants.values):
@@ -154,19 +157,20 @@ def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) 
     else:
         words = " and ".join(f"{each} [{unit}]" for each, unit in columns.items())
         if not isinstance(given, Sequence) or not all(isinstance(p, Sequence) and len(p) == 2 for p in given):
-            refuse(f"mix {name}", given, f"must be pairs of {words}, or the path of a .csv file")
+            refuse(f"mix {name}", given, f"must be a list of pairs of {words}, or the path of a .csv file")
         (x, x_unit), (y, y_unit) = columns.items()
         one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
         other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
     for column, values in zip(columns, (one, other), strict=True):
         if min(values, default=0.0) < 0:
             problem = f"must be 0 or more {columns[column]}"
-            refuse(f"mix {name}: {column}", min(values), problem, "use magnitudes if the instrument turned backwards")
+            hint = "write positive values, also if the instrument turned backwards"
+            refuse(f"mix {name}: {column}", min(values), problem, hint)
     if len(set(one)) < 2:
         refuse(
             f"mix {name}",
             f"{len(one)} point{'s' if len(one) != 1 else ''} at one {next(iter(columns))}",
-            "must have two or more different values",
+            f"must have points at two or more different values of '{next(iter(columns))}'",
             "add points that were measured at other values",
         )
     return one, other

@@ -87,10 +87,7 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """Concrete that the mix gives: a yield stress fluid with a slip layer, after multiplication by `factors`.
-
-        The factors describe the concrete at another age or temperature.
-        """
+        """Concrete of the mix, a yield stress fluid with a slip layer, at the age and temperature set by `factors`."""
         return scaled(self._plain, *self.factors)
 
     @property
@@ -109,12 +106,12 @@ class Mix:
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
-        """For each cause of uncertainty, two concretes at the ends of its band, by the name of the cause.
+        """Pairs of concretes that differ in one cause of uncertainty, by the name of the cause.
 
-        A cause, such as the slip layer, comprises several properties of the concrete. The first concrete has these
-        properties at the lower ends of their bands, and the second at the upper ends. All other properties have their
-        best values. A cause whose bands have no width is left out. The causes that concern the bulk are also left out
-        if the layer was fitted to a trial line.
+        A cause, such as "slip layer", comprises properties of the concrete. The first concrete of a pair has these
+        properties at the lower ends of their bands, and the second at the upper ends. All other properties have
+        their best values. A cause whose bands have no width is left out. The causes that concern the bulk are also left
+        out if the layer was fitted to a trial line.
         """
         found = {}
         for cause, keys in CAUSES.items():
@@ -128,13 +125,13 @@ class Mix:
 
     @property
     def layer_yields(self) -> tuple[float, float] | None:
-        """Range of the slip layer's yield stress [Pa]; None if only a fit to an earlier trial line states it.
+        """Range of the slip layer's yield stress [Pa], as (lowest, highest).
 
-        If a tribometer or a pipe measured the layer at several speeds, the range follows from this measurement.
-        Otherwise it contains all estimates, because the band of the layer from the paste holds for self-compacting
-        concrete, and the layer of a stiffer concrete has a larger yield stress. Without an estimate from a slump, the
-        range extends to the yield stress of the concrete. The range never exceeds the upper end of the band of this
-        yield stress.
+        None if the layer's constants were fitted to pressures of a pipe, or if the yield stress has no uncertainty. If
+        the mix contains measurements of the layer, the range is the band of the measured value. Otherwise it contains
+        the bands of all estimates, because the estimate from the paste holds for self-compacting concrete only, and
+        the layer of a stiffer concrete has a larger yield stress. If the mix states no slump, the range extends to the
+        yield stress of the concrete. The range never exceeds the upper end of the band of this yield stress.
         """
         own, concrete, measured = self["slip yield"], self["yield stress"].high, self.given.layer
         if measured.pipe or own.low == own.high:
@@ -150,9 +147,10 @@ class Mix:
     def band_origin(self) -> str:
         """Origin of the uncertainty band of the slip viscosity: 'fit', 'contradicted', 'paste' or 'other'.
 
-        A band of a fit to a trial line contains the pressures in 95 % of cases. If the gauges of the trial line
-        contradict each other, the origin is 'contradicted', and nobody knows how often the band contains the pressures.
-        A band that follows from the composition of the paste contains the measured values of nine of ten concretes.
+        - 'fit': fit to a trial line. The band contains the pressures in 95 % of cases.
+        - 'contradicted': fit to a trial line whose gauges contradict each other. The confidence is unknown.
+        - 'paste': composition of the paste. The band contains the measured values of nine of ten concretes.
+        - 'other': any other estimate or measurement.
         """
         if self.given.layer.contradicted:
             return "contradicted"
@@ -196,7 +194,7 @@ class Mix:
         }
 
     def rows(self) -> list[dict[str, str]]:
-        """Return the rows of the table of properties, each as text by the names of its columns, :data:`COLUMNS`.
+        """Return the rows of the table of properties; each maps the column names (:data:`COLUMNS`) to text.
 
         The last rows describe the aggregate's share, sizes and shape.
         """
@@ -265,8 +263,8 @@ def mix_in(found: NamedConcrete) -> Mix | None:
     mix = mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
     if yields == viscous == 1.0:
         return mix
-    said = ("the table shows the values before they are multiplied by the factors of the section 'flow': "
-            f"{yields:g} for yield stresses, {viscous:g} for viscosities")  # fmt: skip
+    said = ("the table does not include the factors in the section 'flow', which multiply yield stresses by "
+            f"{yields:g} and viscosities by {viscous:g}")  # fmt: skip
     return replace(mix, factors=(yields, viscous), remarks=(*mix.remarks, said))
 
 
@@ -296,14 +294,14 @@ def mix_of(
             # only. For a law whose flow curve is not straight, the mix must state the viscosity itself.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
-                problem = "must be stated together with a flow index or a quadratic viscosity"
-                refuse("mix viscosity", None, problem, "add it to the same section")
+                problem = "must be stated if the mix has a flow index or a quadratic viscosity"
+                refuse("mix viscosity", None, problem, "add 'viscosity' to the same section")
         if tells:
             bulk[wanted], more = reconciled(tells)
             remarks += more
     if "yield stress" not in bulk:
         hint = "add a measurement: 'spread', 'slump', 'viscometer', 'mortar' or 'concrete'"
-        refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete", hint)
+        refuse("mix", ", ".join(given), "contains no entry from which the yield stress of the concrete follows", hint)
     bulk.setdefault("viscosity", unknown_viscosity(told))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
@@ -321,7 +319,8 @@ def mix_of(
         remarks.append(f"the mix states no air content: {100 * USUAL_AIR:g} % is assumed, which leaves {left} for sand "
                        "and stones; state it as in 'air: 2 %'")  # fmt: skip
     if told.sieve is None and told.sizes is None:
-        remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")
+        remarks.append("the mix has no sieve curve: simulations with discrete elements use the sizes that the scene "
+                       "states, by default 5 to 20 mm")  # fmt: skip
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks), others)
 
 

@@ -75,15 +75,15 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         with errors_located_at(given, key):
             name = re.sub(r"[\W_]+", " ", str(key).casefold()).strip()
             if key not in KEYS and LARGEST_NAMES.fullmatch(name) is not None:
-                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {example_size(given[key])}'")
+                refuse("mix key", key, "is called 'sizes' in a mix", f"write 'sizes: {example_size(given[key])}'")
             if "moist" in str(key).casefold():
                 problem = "is not an entry of a mix"
                 refuse("mix key", key, problem, "subtract the surface moisture from the sand, and add it to the water")
             if (own := OTHER_NAMES.get(name)) is not None:
-                refuse("mix key", key, f"is the entry {own!r} of a mix", f"write '{own}: {given[key]}'")
+                refuse("mix key", key, f"is called {own!r} in a mix", f"write '{own}: {given[key]}'")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
-        refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")
+        refuse("mix sizes", given["sizes"], "cannot be combined with 'sieve'", "leave out 'sizes' or 'sieve'")
     heavy = _number(given, "aggregate_density") or GRAVEL
     with errors_located_at(given, "parts" if "parts" in given else "density"):
         density, summed, masses = _density(given, heavy)
@@ -93,8 +93,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     with errors_located_at(given, "mortar"):
         mortar = read_constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
     if mortar.values and share is None:
-        problem = "needs the share of coarse aggregate in the concrete"
-        refuse("mix mortar", given["mortar"], problem, "add the share, for example 'aggregate: 36 %'")
+        problem = "needs 'aggregate', the share of coarse aggregate in the concrete"
+        refuse("mix mortar", given["mortar"], problem, "add it, for example 'aggregate: 36 %'")
     if share is not None:
         _check_parts(density, share, heavy, mortar.values.get("density"))
         with errors_located_at(given, "aggregate"):
@@ -142,16 +142,16 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
     stones = [name for name in masses if is_coarse(name) or unusual_stones({name: 0.0}) is not None]
     for number in (number for name in stones if sizes_with_unit(name) is None for number in size_numbers(name)):
         if number not in SIZE_NUMBERS:
-            warn(f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or add "
-                 "'sizes'")  # fmt: skip
+            warn(f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or state "
+                 "the sizes of the stones as 'sizes'")  # fmt: skip
     sizes = [found for name in stones if (found := named_sizes(name)) is not None]
     return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 
 
 def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:
-    """Return an entry as converted by the function `read`, or None if the entry is missing.
+    """Return the entry `name`, converted by the argument `read`; None if the mix has no such entry.
 
-    A message about an error in the entry states the line of the entry in the file.
+    If `read` raises an error, the error message states the line of the entry in the file.
     """
     if name not in given:
         return None
@@ -172,9 +172,9 @@ def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
         return found
     stated = 1 / (1 + ratio * BINDER / 1000)
     if found is not None and abs(stated - found) > PASTE_TOLERANCE:
-        refuse("mix water_binder", ratio, f"contradicts the parts: it means {stated:.3f} m3 of powder in a cubic metre "
-               f"of paste, but the parts contain {found:.3f} m3",
-               "leave out 'water_binder', because the parts suffice")  # fmt: skip
+        refuse("mix water_binder", ratio, f"contradicts 'parts': it means {stated:.3f} m3 of powder in a cubic metre "
+               f"of paste, but the ingredients give {found:.3f} m3",
+               "leave out 'water_binder', which follows from 'parts'")  # fmt: skip
     return found or stated
 
 
@@ -201,8 +201,8 @@ def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 def _thickener(given: Mapping[str, Any]) -> bool:
     """Return whether the mix contains a viscosity-modifying admixture.
 
-    The entry `thickener` or the name of an ingredient states this. Raises :class:`SceneError` if the entry denies an
-    admixture that an ingredient names.
+    The entry `thickener` or the name of an ingredient states this. Raises :class:`SceneError` if the entry is false
+    although an ingredient is such an admixture.
     """
     parts = given.get("parts")
     named = parts is not None and any(is_thickener(str(name)) for name in parts)
@@ -213,8 +213,8 @@ def _thickener(given: Mapping[str, Any]) -> bool:
         if not isinstance(said, bool):
             refuse("mix thickener", said, "must be true or false")
         if named and not said:
-            problem = "contradicts the parts, which name a viscosity-modifying admixture"
-            refuse("mix thickener", said, problem, "leave out 'thickener', or correct the parts")
+            problem = "contradicts 'parts', which contains a viscosity-modifying admixture"
+            refuse("mix thickener", said, problem, "leave out 'thickener', or correct 'parts'")
     return said
 
 
@@ -231,48 +231,50 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _check_ingredient(name: str, value: Any) -> None:
-    """Refuse an entry of a mix, or the sum of all ingredients, among the ingredients."""
+    """Refuse an item of `parts` that is no ingredient: another entry of the mix, or the sum of all ingredients."""
     plain = re.sub(r"[\W_]+", " ", name.casefold()).strip()
     if plain in TOTALS:
         refuse(
-            f"mix parts: {name}", value, "is a sum, not an ingredient", "leave it out; the program adds up the parts"
+            f"mix parts: {name}", value, "is a sum, not an ingredient", "remove it; the program adds up the ingredients"
         )
     if (own := OTHER_NAMES.get(plain, plain)) in NUMBERS or own in ("sizes", "sieve", "shape"):
         refuse(f"mix parts: {name}", value, f"is the entry {own!r} of a mix, not an ingredient",
-               f"write '{own}: ...' beside 'parts', not in it")  # fmt: skip
+               f"move it out of 'parts', as '{own}: ...'")  # fmt: skip
 
 
 def _check_single(name: str, value: Any) -> None:
-    """Refuse a class of consistency, or a range, instead of one amount, with the amount in its middle."""
+    """Refuse a consistency class, such as 'S3', or a range; the error suggests the value in the middle instead."""
     text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
     if (ends := CLASSES.get(text.upper())) is not None and name in ("slump", "spread"):
         own = "spread" if len(text) > 2 else "slump"
         refuse(f"mix {name}", value, f"is a class of EN 206, with a {own} of {ends[0]} to {ends[1]} mm",
-               f"write the measured one, or the middle of the class, as in '{own}: {sum(ends) / 2:g} mm'")  # fmt: skip
+               f"write the measured {own}, or the middle of the class, as in '{own}: {sum(ends) / 2:g} mm'"
+               )  # fmt: skip
     if re.fullmatch(r"F[1-6]", text, re.IGNORECASE) and name in ("slump", "spread"):
-        refuse(f"mix {name}", value, "is a class of the flow table, which says little about slump and spread",
+        refuse(f"mix {name}", value, "is a flow table class of EN 206, from which slump and spread do not follow",
                "measure the slump, and write it as in 'slump: 180 mm'")  # fmt: skip
     two = re.fullmatch(r"[0-9][^a-zA-Z]*[a-zA-Z%]*\s*(to|-|\u2013)\s*[0-9].*", text) is not None
     if two and not is_amount(text, NUMBERS[name].unit):
-        refuse(f"mix {name}", value, "is a range, but must be one value", "write the measured value, or the middle")
+        hint = "write the measured value, or the middle of the range"
+        refuse(f"mix {name}", value, "is a range, but must be one value", hint)
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
-    """Return the concrete's density [kg/m3], True if it is the sum of the ingredients, and the ingredients.
+    """Return the concrete's density [kg/m3], whether it is the sum of the ingredients, and the ingredients.
 
-    The ingredients are a mapping from names to masses in a cubic metre of concrete [kg/m3]; it is empty if the mix
-    lists none. `heavy` is the density of the coarse aggregate [kg/m3].
+    The ingredients map names to masses in a cubic metre of concrete [kg/m3]; the mapping is empty if the mix lists no
+    ingredients. `heavy` is the density of the coarse aggregate [kg/m3].
     """
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
         if "volume" in given:
             with errors_located_at(given, "volume"):
-                refuse("mix volume", given["volume"], "has no effect without 'parts', of which it is the volume",
+                refuse("mix volume", given["volume"], "has no effect without 'parts', the ingredients in this volume",
                        "add the ingredients of the load as 'parts', or leave out 'volume'")  # fmt: skip
         if own is None:
             raise SceneError(
-                "mix density: is missing, and the mix lists no 'parts' from which it follows; add 'density: 2350 "
-                "kg/m3' (147 lb/ft3) for usual concrete, or list the ingredients as 'parts'"
+                "mix density: must be stated in a mix without 'parts'; add 'density: 2350 kg/m3' (147 lb/ft3) for "
+                "usual concrete, or list the ingredients as 'parts'"
             )
         return own, False, {}
     parts = given["parts"]
@@ -300,9 +302,8 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
             1000,
             5000,
             "kg/m3",
-            "list all ingredients of a cubic metre including "
-            "aggregates, or add 'volume' if they are those of a "
-            "whole load",
+            "list all ingredients of a cubic metre, including aggregates; if they are the ingredients of a whole load, "
+            "add its volume as 'volume'",
         )
     check_volume(masses, heavy, air)
     return (total, True, masses) if own is None else (own, False, masses)
@@ -319,7 +320,7 @@ def _share(given: Any, heavy: float, unusual: str | None) -> float:
         refuse(
             "mix aggregate",
             given,
-            f"is a mass, but the density of {quoted(unusual)} is not stated",
+            f"is a mass, so the density of {quoted(unusual)} must be stated",
             "add 'aggregate_density', as in 'aggregate_density: 1250 kg/m3', or state a share of the volume",
         )
     if is_amount(given, "kg/m3"):
@@ -327,7 +328,7 @@ def _share(given: Any, heavy: float, unusual: str | None) -> float:
     else:
         found = amount("mix aggregate", given, "m3/m3")
         if found > 1:
-            problem = "must be a share of the volume, below 1, or have a unit"
+            problem = "must be a share of the volume below 1, or an amount with a unit"
             refuse("mix aggregate", given, problem, "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")
     positive("mix aggregate", found)
     if found >= PACKING:
@@ -357,11 +358,11 @@ def _check_parts(density: float, share: float, heavy: float, own: float | None) 
     """
     rest = (density - share * heavy) / (1 - share)
     words = (
-        f"leaves {rest:.4g} kg/m3 for the density of the mortar, if aggregate of {heavy:g} kg/m3 fills {share:.3g} "
-        "of the volume"
+        f"implies a density of the mortar of {rest:.4g} kg/m3, if aggregate of {heavy:g} kg/m3 fills {share:.3g} of "
+        "the volume"
     )
     if not MORTARS[0] <= rest <= MORTARS[1]:
-        problem = f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g} kg/m3"
+        problem = f"{words}, but mortars have {MORTARS[0]:g} to {MORTARS[1]:g} kg/m3"
         refuse("mix density", density, problem, "check 'density', 'aggregate' and 'aggregate_density'")
     if own is not None and abs(rest / own - 1) > DENSITY_TOLERANCE:
         problem = f"{words}, but the density of the mortar is given as {own:g} kg/m3"

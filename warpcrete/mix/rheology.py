@@ -164,7 +164,7 @@ def _stated(given: Measured, key: str, unit: str, way: str) -> Iterator[Figure]:
 
 
 def _against_heaps(own: Figure) -> Figure:
-    """Return a rheometer's yield stress, with a band wide enough for the yield stress at which concrete comes to rest.
+    """Widen the uncertainty band of a rheometer's yield stress, so that it covers the value in a slump test.
 
     Concrete in a slump test comes to rest at a lower yield stress than a rheometer measures. The lower end of the band
     is therefore at most the rheometer's value divided by :data:`RHEOMETER_OVER_HEAP`.

@@ -30,10 +30,10 @@ SIZE = r"(?<![0-9/])(?<![0-9][.,])(?:(?:[1-3][ -])?[0-9]+/[0-9]+|[0-9]+(?:[.,][0
 """Pattern of a size without its unit, such as '20', '9.5', '3/4' or '1 1/2'."""
 NO_AMOUNT = rf"(?!\s*(?:[-\u2013/]|to\b)\s*[0-9]|[.,][0-9]|\s*{UNIT})(?!(?<=\b[1-3])\s+[0-9]+/[0-9])"
 """Pattern that fails after a number that belongs to a range, a decimal, a fraction or an amount with a unit, such as
-'5-20', '9.5', '1 1/2' or '20 mm'."""
+'5-20', '9.5', '1 1/2' or '20 mm'. Such a number is no size number."""
 MARKED = re.compile(rf"(?:\bsize\s+)?(?:#|\b(?:no|number|size)\b\.?)\s*([0-9]+)s?\b{NO_AMOUNT}", re.IGNORECASE)
-"""Pattern of a size number in the name of an ingredient, such as '#57', 'No. 57' or 'number 57'. The number in 'size
-20 mm' is none."""
+"""Pattern of a size number with a mark in the name of an ingredient, such as '#57', 'No. 57' or 'number 57'. The number
+in 'size 20 mm' is no size number."""
 BLEND = re.compile(r"#\s*([0-9]+)\s*[/-]\s*([0-9]+)\b")
 """Pattern of two size numbers after one mark, as in '#57/67'."""
 RANGE = re.compile(rf"({SIZE})\s*({UNIT})?\s*([-\u2013/]|to\b)\s*((?:[1-3][ -])?[0-9]+(?:[/.,][0-9]+)?)\s*({UNIT})")
@@ -41,8 +41,8 @@ RANGE = re.compile(rf"({SIZE})\s*({UNIT})?\s*([-\u2013/]|to\b)\s*((?:[1-3][ -])?
 SIEVES = re.compile(
     r"(?<![0-9./,#])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)(?![0-9/]|\s*(?:in|\"|[u\u00b5\u03bc]m))"
 )
-"""Pattern of two sieves in millimetres in the name of an ingredient, such as '4/16'. A fraction of an inch, such as
-'3/8', is none."""
+"""Pattern of two sieves in millimetres in the name of an ingredient, such as '4/16'. It does not match a fraction of an
+inch, such as '3/8'."""
 LARGEST = re.compile(rf"{SIZE}\s*{UNIT}")
 """Pattern of a size with its unit in the name of an ingredient, such as '20 mm' or '3/4 in'."""
 STONES = r"\s+(?:(?:crushed|coarse|washed)\s+)*(?:stone|rock|limestone|granite|gravel|aggregate)s?\b"
@@ -55,9 +55,9 @@ NUMBER_OF_STONES = re.compile(rf"([0-9]+)s?{STONES}", re.IGNORECASE)
 
 
 def size_numbers(name: str) -> list[str]:
-    """Return the numbers of stone sizes that the name of an ingredient states, such as ['#57'] for 'No. 57 stone'.
+    """Return the size numbers (ASTM C33) in the name of an ingredient, such as ['#57'] for 'No. 57 stone'.
 
-    A number with a mark, such as '#58', is included even if no size has this number.
+    A number with a mark, such as '#58', is included even if ASTM C33 has no such number.
     """
     name = BLEND.sub(_marked_twice, name)
     plain = (f"#{found}" for found in UNMARKED.findall(name))
@@ -65,7 +65,10 @@ def size_numbers(name: str) -> list[str]:
 
 
 def _marked_twice(blend: re.Match[str]) -> str:
-    """Return a match of :data:`BLEND` with a mark before either number, or unchanged if a number is unknown."""
+    """Return the text of a match of :data:`BLEND` with "#" before both numbers: '#57/#67' for '#57/67'.
+
+    The text is returned unchanged if one of the numbers is unknown.
+    """
     numbers = [f"#{each}" for each in blend.groups()]
     return "/".join(numbers) if all(each in SIZE_NUMBERS for each in numbers) else blend[0]
 
@@ -76,9 +79,10 @@ def is_size_number(name: str) -> bool:
 
 
 def sizes_with_unit(name: str) -> tuple[float, float] | None:
-    """Return the smallest and the largest size of stones [m] that a name states with a unit, or None.
+    """Return the smallest and the largest size of stones [m] that a name states with a unit.
 
-    The name may state a range ('gravel 5-20 mm') or only the largest size ('3/4 in rock', 'aggregate 20 mm').
+    The name may state a range ('gravel 5-20 mm') or only the largest size ('3/4 in rock', 'aggregate 20 mm'). The
+    result is None if the name states no size with a unit.
     """
     name = " ".join(name.lower().split())
     ranges = [found for texts in RANGE.findall(name) if (found := _range(*texts)) is not None]
@@ -90,10 +94,10 @@ def sizes_with_unit(name: str) -> tuple[float, float] | None:
 
 
 def _range(low: str, unit: str, joint: str, high: str, last: str) -> tuple[float, float] | None:
-    """Return the ends of a range of stone sizes [m] from the groups of :data:`RANGE`, or None for other numbers.
+    """Return the smallest and the largest size [m] from a match of :data:`RANGE`; None if it is no range of sizes.
 
-    Metric ranges may begin with the larger size, as in '19.0 to 4.75 mm'. In inches, '1-1/2 in' is a single size, and
-    so is '3/4 in'.
+    Metric ranges may begin with the larger size, as in '19.0 to 4.75 mm'. In inches, '1-1/2 in' and '3/4 in' are
+    single sizes.
     """
     ends, metric = (f"{low} {unit or last}", f"{high} {last}"), last in ("mm", "cm")
     if (joint == "/" and not metric) or not all(is_amount(each, "m") for each in ends):
@@ -105,7 +109,10 @@ def _range(low: str, unit: str, joint: str, high: str, last: str) -> tuple[float
 
 
 def _possible(low: float, high: float) -> tuple[float, float] | None:
-    """Return the ends of a range of stone sizes [m], without sand, or None if stones cannot have this range."""
+    """Return a range of stone sizes [m] after replacing a lower end in the range of sand by :data:`SMALLEST`.
+
+    The result is None if stones cannot have these sizes.
+    """
     if not max(low, FINEST) < high <= COARSEST or high < 2 * SMALLEST:
         return None
     return low if low >= FINEST else SMALLEST, high
@@ -129,9 +136,10 @@ def named_sizes(name: str) -> tuple[float, float] | None:
 
 
 def sizes_by_number(field: str, text: str) -> tuple[float, float] | None:
-    """Return the smallest and the largest size [m] for the size number that a text states, or None without a number.
+    """Return the smallest and the largest size [m] that belong to the size number in a text, such as '#57 stone'.
 
-    `field` is the name of the entry or option. Raises :class:`warpcrete.SceneError` for an unknown number.
+    The result is None if the text contains no size number. `field` is the name of the entry or option, for error
+    messages. Raises :class:`warpcrete.SceneError` for an unknown number.
     """
     number = MARKED.match(text.strip()) or NUMBER_OF_STONES.match(text.strip())
     if number is None:
@@ -143,9 +151,10 @@ def sizes_by_number(field: str, text: str) -> tuple[float, float] | None:
 
 
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
-    """Return pairs of sieve opening [m] and mass fraction that passes, from openings in millimetres.
+    """Return a sieve curve as pairs of opening [m] and mass fraction that passes.
 
-    The fractions may be stated in per cent. Raises :class:`warpcrete.SceneError` if they do not form a sieve curve.
+    `given` maps openings [mm] to fractions, which may also be percentages. Raises :class:`warpcrete.SceneError` if they
+    do not form a sieve curve.
     """
     example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
     if not isinstance(given, Mapping) or len(given) < 2:
@@ -157,7 +166,7 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
         problem = f"must be at most {1e3 * COARSEST:g} mm"
         refuse("mix sieve: opening", f"{1e3 * widest:g} mm", problem, "openings without a unit are in mm")
     if len({isinstance(value, str) for value in opened.values()}) > 1:
-        refuse("mix sieve", dict(given), "mixes shares with and without a unit", example)
+        refuse("mix sieve", dict(given), "must have shares that are either all with %, or all without", example)
     passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
     if passing[-1] == 100:
         passing = [value / 100 for value in passing]
@@ -169,9 +178,9 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
         refuse("mix sieve", given, f"falls from {passing[fall - 1]:g} at {1e3 * openings[fall - 1]:g} mm to "
                f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: the share must not fall", example)  # fmt: skip
     if passing[0] != 0 or passing[-1] != 1:
-        refuse("mix sieve", given, "must rise from 0 to 1, or to 100 for per cent", example)
+        refuse("mix sieve", given, "must have shares that rise from 0 to 1, or from 0 to 100 %", example)
     if openings[0] < FINEST:
-        problem = f"begins below {1e3 * FINEST:g} mm, but sand belongs to the mortar in both methods"
+        problem = f"begins below {1e3 * FINEST:g} mm, but sand is simulated as part of the mortar"
         refuse("mix sieve", given, problem, "give the curve of the coarse aggregate alone, without sand")
     return tuple(zip(openings, passing, strict=True))
 
@@ -180,8 +189,8 @@ def read_sizes(given: Any) -> tuple[float, float]:
     """Return the smallest and the largest size of a mix's stones [m].
 
     If the entry is a single amount, it is the largest size, and the smallest is :data:`SMALLEST`. A text such as '#57'
-    is a size number of ASTM C33. Raises :class:`warpcrete.SceneError` if the entry is not an amount, a size number or a
-    pair of possible sizes. 'No. 57', '57 stone' and '#57 stone' are size numbers, too.
+    is a size number of ASTM C33, and so are 'No. 57', '57 stone' and '#57 stone'. Raises
+    :class:`warpcrete.SceneError` if the entry is not an amount, a size number or a pair of possible sizes.
     """
     if given is None:
         hint = "write '20 mm', or put a size number of ASTM C33 in quotes, as in '#57', because # starts a comment"
@@ -206,16 +215,17 @@ def read_sizes(given: Any) -> tuple[float, float]:
         FINEST,
         high,
         "m",
-        "write the smaller size first, and leave out finer grains, which belong to the mortar",
+        "write the smaller size first; finer grains belong to the mortar and are left out",
     )
     return low, high
 
 
 def example_size(given: Any) -> str:
-    """Return the text for the entry `sizes` of a user who stated the largest stone under another name, as in '20 mm'.
+    """Return a text such as '20 mm' that an error message suggests for the entry `sizes`.
 
-    A number without a unit means metres if stones can have that size, and probably millimetres otherwise. The result is
-    '20 mm' if the value is not a possible size in either unit.
+    `given` is the size of the largest stone, which the user has stated under another name. A number without a unit
+    is taken as metres if stones can have that size, and as millimetres otherwise. The result is '20 mm' if the value is
+    not a possible size in either unit.
     """
     if not is_amount(given, "m") and (not bare_number(given) or isinstance(given, bool)):
         return "20 mm"
@@ -227,7 +237,7 @@ def example_size(given: Any) -> str:
 
 
 def read_shape(given: Any) -> str:
-    """Return the shape of a mix's stones by the name that scenes use.
+    """Return the name of the stones' shape in scenes of discrete elements, such as 'spheres'.
 
     Raises :class:`warpcrete.SceneError` if the entry is neither a known word nor a possible ratio of widths.
     """

@@ -21,8 +21,8 @@ AREA = 1.15
 FIELD = np.radians(55.0)
 """Vertical angle of view of the viewer's camera."""
 MARGIN, ROOM = 1.06, 1.5
-"""Distance of the camera over the smallest distance from which a view shows the whole scene. The larger value applies
-to aggregates that spread out of a vessel."""
+"""Distance of the camera, divided by the smallest distance from which a view shows the whole scene. The larger value
+applies to aggregates that spread out of a vessel."""
 CHAINS, CUT = "scene/network", "scene/cut"
 """Paths, in the recording, of the lines that show contact forces and of the walls that are cut open. The view of the
 whole scene hides what is recorded under these paths."""
@@ -36,7 +36,10 @@ CUT_OPACITY = 150
 
 
 def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
-    """Return the layout of the Rerun viewer for what a display shows, for a run of `duration` [s] of simulated time."""
+    """Return the layout of the Rerun viewer for the views, plots and legends that `display` supplies.
+
+    `duration` is the simulated time of the run [s]; the viewer plays short runs in slow motion.
+    """
     import rerun.blueprint as rrb
 
     scenes = _arranged(display, _scenes(display, network))
@@ -79,9 +82,9 @@ def plot_title(plot: Plot) -> str:
 
 
 def _arranged(display: Display, shown: list[Shown]) -> Any:
-    """Arrange the views: in a row if the scene is tall, in a column if it is long, and in two columns otherwise.
+    """Arrange the views: in a row if the scene is tall, in a column if it is wide, and in two columns otherwise.
 
-    Two views form a row or a column, whichever shows the scene larger.
+    If there are only two views, they form a row or a column, whichever shows the scene larger.
     """
     import rerun.blueprint as rrb
 
@@ -119,7 +122,10 @@ def _scenes(display: Display, network: bool) -> list[Shown]:
 
 
 def _view(display: Display, shown: Shown, aspect: float) -> Any:
-    """Return a view whose width over height is `aspect`, with a camera that sees the whole scene and little else."""
+    """Return a view with a camera that is as close as possible and still sees the whole scene.
+
+    `aspect` is the width of the view divided by its height.
+    """
     import rerun.blueprint as rrb
 
     name, contents, overrides = shown
@@ -136,7 +142,10 @@ def _view(display: Display, shown: Shown, aspect: float) -> Any:
 
 
 def camera(display: Display, aspect: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a camera position and the point to look at [m], both of shape (3,), for a view of width over height."""
+    """Return a camera position from which a view shows the whole scene, and the point to look at [m], shape (3,) each.
+
+    `aspect` is the width of the view divided by its height.
+    """
     places, axes = _on_screen(display), _axes(display)
     centre = 0.5 * (places.min(0) + places.max(0))
     across, up, ahead = (places - centre).T
@@ -156,9 +165,9 @@ def _axes(display: Display) -> np.ndarray:
 
 
 def _on_screen(display: Display) -> np.ndarray:
-    """Return the corners of the scene and the vertices of its walls at the start, shape (n, 3).
+    """Return the corners of the scene and the vertices of its walls at the start, in camera coordinates, shape (n, 3).
 
-    The coordinates [m] are those along the axes of the camera.
+    The coordinates [m] are the distances to the right, upwards and ahead, as seen from the camera.
     """
     places = [np.stack(np.meshgrid(*display.bounds().T), -1).reshape(-1, 3)]
     for number, wall in enumerate(display.walls()):
@@ -169,9 +178,9 @@ def _on_screen(display: Display) -> np.ndarray:
 
 
 def spheres_behind_cut(display: Display) -> np.ndarray | None:
-    """Return a boolean for each sphere, true behind the cutting plane, shape (n,).
+    """Return whether each sphere lies behind the cutting plane, as booleans of shape (n,).
 
-    The result is None without a plane, or if all spheres lie on one side of it.
+    The result is None if there is no such plane, or if all spheres lie on one side of it.
     """
     if display.cut is None:
         return None
@@ -188,7 +197,7 @@ def cut_walls(display: Display) -> list[DrawnWall]:
         if wall.moves or wall.colour[3] == 255 or display.cut is None:
             continue
         position, orientation = display.wall_pose(number)
-        # The plane in the wall's own coordinate frame.
+        # Transform the cutting plane to the wall's own coordinate frame.
         normal, place = rotate(
             np.broadcast_to(orientation, (2, 4)),
             np.array([[0.0, 1.0, 0.0], np.array([0.0, display.cut, 0.0]) - position]), inverse=True,

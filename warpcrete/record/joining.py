@@ -14,9 +14,10 @@ from ..core.run.viewer import rerun_tool
 def join(parts: Sequence[Path], path: Path) -> None:
     """Join the parts of a recording into the file `path`, which is also the first part, and remove the other parts.
 
-    Rerun's own tool joins the parts. A killed run may leave a part incomplete. The tool then keeps the complete chunks
-    of this part; a chunk is Rerun's unit of stored data. A chunk that occurs in two parts, as after a kill during a
-    join, is stored once. Raises :class:`RunFolderError` if joining fails; the parts then remain.
+    Rerun's own tool joins the parts. If a killed run left a part incomplete, the tool keeps the complete chunks of this
+    part; a chunk is Rerun's unit of stored data. If the program was killed while it joined parts before, chunks may
+    occur in two parts; the tool stores them only once. Raises :class:`RunFolderError` if joining fails; the parts then
+    remain.
     """
     parts = [part for part in parts if part.is_file()]
     partial = partial_of(path)
@@ -31,7 +32,7 @@ def join(parts: Sequence[Path], path: Path) -> None:
         cause = (
             OSError(int(number[1]), os.strerror(int(number[1])))
             if number
-            else OSError(f"the parts could not be joined: {last}")
+            else OSError(f"Rerun could not join the parts of the recording: {last}")
         )
         raise cannot_write(path, cause)
     partial.replace(path)

@@ -31,7 +31,7 @@ class LoadedRun(Run):
 
     def save(self, folder: str | Path | RunOutput) -> Path:
         """Copy the run folder, with the recordings that it has, and return the path of the copy."""
-        importlib.import_module("warpcrete.record.output")  # It registers the class of run folders.
+        importlib.import_module("warpcrete.record.output")  # This module registers the class of run folders.
         return super().save(folder)
 
     def __getattr__(self, name: str) -> NoReturn:
@@ -50,12 +50,12 @@ class LoadedRun(Run):
 def load(folder: Path | str) -> Run:
     """Return the run that a folder contains: its scene, time series and results, if their files have been written.
 
-    Data that only exists during a simulation, such as the table of final `bodies`, is missing; the error of
-    `run.bodies` tells which recordings of the folder hold their positions. A killed run may lack its result, and a run
-    without samples has an empty series. The scene function builds the scene again. This is impossible if the scene was
-    modified or built in Python, or if a file that it read is missing or has changed. The returned scene then has only
-    its name, which is also its caption, and its parameters. Raises :class:`RunFolderError` if the folder is not a run
-    folder of this version.
+    Data that exists only during a simulation, such as the table of final `bodies`, is missing. The message of the error
+    that `run.bodies` raises names the recordings in the folder that hold the positions of bodies. A killed run may have
+    no result, and a run without samples has an empty series. The scene function builds the scene again. This is
+    impossible if the scene was modified or built in Python, or if a file that it read is missing or has changed. The
+    returned scene then has only its name, which is also its caption, and its parameters. Raises
+    :class:`RunFolderError` if the folder is not a run folder of this version.
     """
     folder = Path(folder)
     if not (folder / "scene.json").is_file():
@@ -66,7 +66,7 @@ def load(folder: Path | str) -> Run:
         raise RunFolderError(
             f"'{folder}': "
             + _not_a_run(folder)
-            + (f"; its runs are in {', '.join(studies[:3])} ..." if studies else "")
+            + (f"; its runs are in {', '.join(studies[:3])}{' ...' * (len(studies) > 3)}" if studies else "")
         )  # fmt: skip
     record = read_record(folder / "scene.json")
     scene: Any = SimpleNamespace(
@@ -153,7 +153,7 @@ def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         if not lines:
             return {}, {}
         if any(len(line) != len(lines[0]) for line in lines):
-            raise ValueError("rows of different lengths")
+            raise ValueError("it has rows of different lengths")
         named = [head.removesuffix("]").rsplit(" [", 1) for head in lines[0]]
         rows = np.array(lines[1:], dtype=float).reshape(-1, len(named))
         units = {name: unit for name, unit in named}

@@ -58,7 +58,8 @@ class RunFolder:
         if isinstance(self.recordings, str):
             object.__setattr__(self, "recordings", (self.recordings,))
         if self.recordings is not None and not isinstance(self.recordings, Iterable):
-            refuse("recordings", self.recordings, "must be a list of names, or None")
+            allowed = ", ".join(kind.name for kind in RECORDERS)
+            refuse("recordings", self.recordings, f"must be a list of names, any of {allowed}, or None")
         for name in self.recordings or ():
             one_of("recordings", name, tuple(kind.name for kind in RECORDERS))
         for name in ("network", "live", "colour", "bind"):
@@ -82,7 +83,7 @@ class RunFolder:
         return os.path.isfile(self.path / "scene.json")
 
     def _chosen(self) -> dict[str, bool]:
-        """Return which kinds of recordings are written: True or False by the name of each kind."""
+        """Return whether each kind of recording is written, by the name of the kind."""
         if self.recordings is None:
             return {kind.name: kind.default for kind in RECORDERS}
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}
@@ -101,8 +102,8 @@ class RunFolder:
             refuse("network", True, problem, "leave out 'network'")
         interval = simulation.frame_interval
         settings = {
-            # Store frames per second, as the user states them. Round the number, because the reciprocal of the interval
-            # contains rounding errors.
+            # Store frames per second, because the command has such an option. Round the number, because the reciprocal
+            # of the interval contains rounding errors.
             "frames": None if interval is None else float(f"{1.0 / interval:.12g}"),
             "colour": self.colour,
             "network": self.network,
@@ -119,9 +120,9 @@ class RunFolder:
 
 
 def check_of(scene: Any) -> Check | None:
-    """Return the acceptance check of the scene function that made a scene.
+    """Return the acceptance check of a scene, which its scene function defines.
 
-    A scene that was built in Python has the checks that its simulation method offers for any scene, or None.
+    For a scene that was built in Python without a scene function, return the check of its simulation method, or None.
     """
     function = scene.parameters.function if isinstance(scene.parameters, Arguments) else ""
     module = modules().get(function)
@@ -129,8 +130,10 @@ def check_of(scene: Any) -> Check | None:
 
 
 def check_recorders(simulation: Simulation) -> list[Recorder]:
-    """Return the recorder of the checks for a simulation without a folder, unless the simulation has such a recorder
-    already."""
+    """Return a list with a recorder of the acceptance checks, for a simulation without a folder.
+
+    The list is empty if the scene has no checks, or if the simulation has such a recorder already.
+    """
     check = check_of(simulation.scene)
     if check is None or any(isinstance(each, CheckRecorder) for each in simulation.recorders):
         return []

@@ -29,10 +29,10 @@ class ParaViewRecorder(Recorder):
 
     The files are `bodies.vtkhdf`, `walls.vtkhdf`, `contacts.vtkhdf` if bodies touch each other, and `surface.vtkhdf`
     for the concrete of flows on a grid. Bodies are points with `radius`, `colour` and the fields of the display; a
-    clump appears as its spheres. ParaView shows the bodies as spheres with the filter Glyph (type Sphere, scaled by
-    `radius`) or as Point Gaussian. The surface has normals, `colour` and fields. Frames are kept in memory until a
-    checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so that no file is ever
-    incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
+    clump appears as its spheres. To show bodies as spheres in ParaView, use the filter Glyph (type Sphere, scaled by
+    `radius`) or the representation Point Gaussian. The surface has normals, `colour` and fields. Frames are kept in
+    memory until a checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so that no
+    file is ever incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
     """
 
     expendable = True
@@ -72,7 +72,11 @@ class ParaViewRecorder(Recorder):
         self._frames = min(state["frames"], *(file.count() for file in self._files.values()))
         if self._frames < state["frames"]:
             lost = state["frames"] - self._frames
-            warnings.warn(f"'{self.folder}': {lost} frames for ParaView are missing or damaged", stacklevel=2)
+            warnings.warn(
+                f"'{self.folder}': the last {lost} frames for ParaView are missing or damaged; the files continue "
+                "without these frames",
+                stacklevel=2,
+            )
         for file in self._files.values():
             file.shorten(self._frames)
 
@@ -121,7 +125,7 @@ class ParaViewRecorder(Recorder):
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
     def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
-        """Wait for the background jobs, then return the number of frames so far as the data for a resumed run."""
+        """Wait for the background jobs, then return the number of frames so far, which a resumed run needs."""
         self._later.wait()
         return {"frames": self._frames}
 
@@ -143,7 +147,7 @@ class ParaViewRecorder(Recorder):
 
 
 class Poly:
-    """VTKHDF file of PolyData in time steps; in the terms of the format, the data of a time step are one partition."""
+    """VTKHDF file of PolyData in time steps; each time step is one partition, as the format calls a block of data."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
@@ -204,8 +208,8 @@ class Poly:
         _extend(steps["NumberOfParts"], [1])
         _extend(steps["PointOffsets"], [len(root["Points"])])
         _extend(root["NumberOfPoints"], [len(points)])
-        # In the VTKHDF format, the dataset Offsets holds one number more per partition than there are cells. Readers
-        # account for this, so CellOffsets counts cells, not offsets.
+        # In the VTKHDF format, a partition with n cells has n + 1 entries in the dataset Offsets. Readers account for
+        # the additional entries, so CellOffsets contains numbers of cells.
         before = [int(root[kind]["NumberOfCells"][:].sum()) for kind in KINDS]
         _extend(steps["CellOffsets"], [before])
         _extend(steps["ConnectivityIdOffsets"], [[len(root[kind]["Connectivity"]) for kind in KINDS]])

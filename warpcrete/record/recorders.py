@@ -1,4 +1,4 @@
-"""Recorders of a run folder, with one entry for each recorder. The command line builds its options from the entries."""
+"""List of the recorders for run folders. The command line builds its options from the entries of this list."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from .usd import UsdRecorder
 
 @dataclass(frozen=True)
 class DrawSettings:
-    """Settings for drawing a run: colours, contact network, and viewer."""
+    """Settings for drawing a run: colours, lines between bodies, and viewer."""
 
     colouring: str | None = None
     """Quantity that the colours show; None selects a suitable quantity for the simulation method."""

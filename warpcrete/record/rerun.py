@@ -25,7 +25,7 @@ outside the triangles at the edges of a mesh, and therefore slightly outside the
 
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
-    """Return the Arrow array of a Rerun tensor with its values replaced by other values of the same number and type."""
+    """Return a copy of a Rerun tensor (an Arrow array) with other `values` of the same number and type."""
     # Arrow stores the values of a Rerun tensor as a union of list arrays, one for each data type.
     union = tensor.field("buffer")
     kind = union.type_codes[0].as_py()
@@ -41,8 +41,9 @@ class RerunRecorder(Recorder):
     Every clump is drawn by its own spheres, and the concrete of a flow on a grid is drawn by its surface. `path` is the
     path of the .rrd file, or None. `live` is True to open a viewer, or the URL of a running viewer
     (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened viewer listens. `colouring`
-    is the quantity that colours the bodies. `network` adds lines between bodies, if the simulation method has any: the
-    width and brightness of a contact's line show its force, and bonds without compression are orange.
+    is the quantity that colours the bodies. If `network` is true, lines show contacts and bonds between bodies, in
+    simulation methods that have them: the width and brightness of a line show the contact force, and bonds without
+    compression are orange.
 
     Every checkpoint closes a part of the recording (`run.rrd`, `run-0001.rrd` and so on), so that a resumed run
     continues after a complete part. At the end the parts are joined into one file.
@@ -91,12 +92,13 @@ class RerunRecorder(Recorder):
             if not simulation.at_end:
                 for number in range(1, state["parts"]):
                     if not (part := self._stream.part_path(number)).is_file():
-                        warnings.warn(f"'{part}': is missing; its frames are lost", stacklevel=2)
+                        warnings.warn(f"'{part}': is missing; the recording lacks its frames", stacklevel=2)
         display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         live = bool(self._stream.live)
         layout = self._blueprint(simulation, display) if live else None
         self._open(display, state["recording_id"], state["parts"], layout)
-        # A newly opened viewer has no data yet, so the positions of all bars of bar charts must be sent again.
+        # A newly opened viewer has no data yet. It gets all constant data again, and `_places` stays empty, so that the
+        # positions of bars and of surface vertices are sent again.
         if live:
             self._describe(display)
         else:
@@ -118,7 +120,7 @@ class RerunRecorder(Recorder):
         assert self._display is not None
         time = row["time"]
         # The recording of a finished run can be made afterwards from the rows of its time series, which contain no step
-        # numbers. Only the number of the last row is known then, because this row belongs to the final state.
+        # numbers. The step number is then known only for the last row, which belongs to the final state.
         steps = simulation.stepper.steps if time == simulation.stepper.time else None
         values = {
             f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves
@@ -217,7 +219,7 @@ class RerunRecorder(Recorder):
             self._log(PAINT_LEGEND, rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
 
     def _draw_profile(self, profile: Profile) -> None:
-        """Record curves as bars side by side, because the viewer has no plots over axes other than time."""
+        """Record the curves of a profile as bar charts, because the viewer plots curves only over time."""
         found = [(curve, *curve.read()) for curve in profile.curves]
         for number, (curve, places, values) in enumerate(found):
             if len(places):
@@ -237,8 +239,8 @@ class RerunRecorder(Recorder):
     def _bars(self, values: np.ndarray) -> Any:
         """Return the heights of the bars of a bar chart as a tensor in Rerun's format.
 
-        The conversion of a new tensor takes ten times as long as the conversion of a changed tensor. Therefore one
-        tensor is kept for each number of bars, and only its values are replaced.
+        Creating a tensor takes ten times as long as replacing the values of a tensor. Therefore one tensor is kept for
+        each number of bars, and only its values are replaced.
         """
         from rerun.components import TensorDataBatch
 
@@ -328,9 +330,10 @@ class RerunRecorder(Recorder):
 
 
 def _clear(colour: Colour) -> Colour:
-    """Return the colour of a wall; make it darker if it is transparent.
+    """Return the colour of a wall, darkened if the wall is transparent.
 
-    The viewer adds up light and not brightness. A bright transparent wall would therefore veil dark colours behind it.
+    The viewer blends colours as amounts of light, not as perceived brightness. A bright transparent wall would
+    therefore outshine dark colours behind it.
     """
     red, green, blue, opacity = colour
     return colour if opacity == 255 else (red // 3, green // 3, blue // 2, opacity)

@@ -1,4 +1,4 @@
-"""Stream of a Rerun recording: the parts of its file and its viewer, and what to do if one of them does not answer."""
+"""Stream of a Rerun recording to a file in parts and to a viewer, with limits for the time that either may take."""
 
 import atexit
 import importlib
@@ -27,9 +27,10 @@ POLL_INTERVAL = 0.5
 
 
 def _rerun() -> Any:
-    """Return Rerun's library, without its log, which would fill the terminal; its calls report errors anyway.
+    """Import Rerun's library without its log, and return it.
 
-    The library reads the variable RUST_LOG when it is imported. A value that the user has set stays in force.
+    The log would fill the terminal, and calls of the library raise exceptions for errors anyway. The library reads the
+    environment variable RUST_LOG when it is imported. If the user has set this variable, its value is used.
     """
     quiet = "RUST_LOG" not in os.environ
     if quiet:
@@ -81,7 +82,7 @@ class RerunStream:
 
         A recording may consist of several files, and `part` is the number of the file to open. `caption` is the title
         of the recording, and `recording_id` is the name by which viewers recognise that several files belong together.
-        `blueprint` is the layout of the views. A viewer keeps one layout for each name of an `application`.
+        `blueprint` is the layout of the views, which a viewer stores under the name `application`.
         """
         self._recording = self.rr.RecordingStream(application, recording_id=recording_id)
         if part == 0:
@@ -101,14 +102,14 @@ class RerunStream:
         self._open_sinks()
 
     def log(self, path: str, what: Any, static: bool = False) -> None:
-        """Record `what` under `path` in the recording; `static` data apply to all times."""
+        """Record the data `what` under `path`; if `static` is true, they apply to all times."""
         try:
             self._recording.log(path, what, static=static)
         except RuntimeError as error:
             raise self.error(error) from error
 
     def set_time(self, time: float, steps: int | None) -> None:
-        """Set the simulated time and, if known, the step number to which further data of this thread belong."""
+        """Set the simulated time [s] and, if known, the step number of the data that this thread records next."""
         self._recording.set_time("time", duration=time)
         if steps is None:
             self._recording.disable_timeline("step")
@@ -116,7 +117,7 @@ class RerunStream:
             self._recording.set_time("step", sequence=steps)
 
     def close(self) -> None:
-        """Close the recording after all data have been received."""
+        """Wait until the file and the viewer have received all data, then close the recording."""
         watched = bool(self.live)
         try:
             self.flush()
@@ -125,7 +126,7 @@ class RerunStream:
             raise
         # If the viewer has disconnected, closing takes longer: Rerun first waits for the viewer, then closes the file.
         if not self.disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
-            raise self.error(RuntimeError("the writer thread did not finish in time"))
+            raise self.error(RuntimeError("Rerun's writer did not finish in time"))
 
     def join_parts(self) -> None:
         """Join the part files of the recording into one file."""
@@ -147,7 +148,7 @@ class RerunStream:
                 failures.append(error)
 
         if not self._finishes(open_them, CLOSE_TIMEOUT):
-            failures.append(RuntimeError("the writer does not answer"))
+            failures.append(RuntimeError("Rerun's writer does not answer"))
         if failures:
             raise self.error(failures[0]) from failures[0]
 
@@ -170,7 +171,7 @@ class RerunStream:
         return not calling.is_alive()
 
     def error(self, error: Exception) -> RunFolderError:
-        """Return the error to raise for a failed call of Rerun, with the name of the recording's file."""
+        """Return the exception to raise for the `error` of a call of Rerun; it names the recording's file."""
         return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
 
     def flush(self) -> None:
@@ -195,7 +196,10 @@ class RerunStream:
         if not self.live:
             raise self.error(trouble) from trouble
         # A viewer that has disconnected must not stop the run, because the file has all data.
-        warnings.warn(f"the Rerun viewer did not receive the whole recording: {trouble}", stacklevel=2)
+        warnings.warn(
+            f"the Rerun viewer did not receive the whole recording, and the run goes on without it: {trouble}",
+            stacklevel=2,
+        )
         self.live = False
 
     def disconnect(self, patience: float) -> bool:
@@ -216,7 +220,7 @@ class RerunStream:
         return self.path if number == 0 else self.path.with_name(f"{self.path.stem}-{number:04d}{self.path.suffix}")
 
     def parts_from(self, first: int) -> list[Path]:
-        """Return the paths of the parts that exist, from the part with the number `first` on."""
+        """Return the paths of all existing parts whose numbers are at least `first`."""
         assert self.path is not None
         numbered = self.path.parent.glob(f"{self.path.stem}-[0-9][0-9][0-9][0-9]*{self.path.suffix}")
         later = [path for path in numbered if int(path.stem[len(self.path.stem) + 1 :]) >= first]

@@ -27,8 +27,8 @@ SAME_RUN = ("scene", "parameters", "files", "device", "precision", "command")
 def scene_record(simulation: SimulationBase, command: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
-    A scene may differ from what its function builds, because it was modified afterwards or built by hand. The fields
-    that differ are then stored under `modified`, and the run cannot be repeated from scene.json.
+    If the scene was modified after its function had built it, or was built by hand, the fields that the function would
+    build differently are stored under `modified`. The run cannot be repeated from such a scene.json.
     """
     scene = simulation.scene
     made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()
@@ -69,10 +69,7 @@ class TableRecorder(Recorder):
         return self.folder / "series.csv"
 
     def claim(self, simulation: SimulationBase) -> None:
-        """Create the run folder, or reuse the folder of an interrupted run, and lock it against other processes.
-
-        A new folder receives scene.json.
-        """
+        """Create the run folder with scene.json, or reuse the folder of an interrupted run, and lock the folder."""
         if self._folder_hold is not None:
             return
         record = scene_record(simulation, self.command)
@@ -95,10 +92,10 @@ class TableRecorder(Recorder):
         write_json(path, record)
 
     def abandon(self, simulation: SimulationBase) -> None:
-        """Remove the folder if this recorder created it and it holds nothing of use.
+        """Release the folder, and remove it if this recorder created it.
 
-        The folder of a run that became unstable before its first row, or that has a checkpoint, remains. Its
-        result.json says why the run ended.
+        The folder is kept if it has a checkpoint, or if the run became unstable before its first row. Its result.json
+        then says why the run ended.
         """
         has_checkpoint = (self.folder / "checkpoint.npz").exists()
         ending = simulation.ending
@@ -117,8 +114,7 @@ class TableRecorder(Recorder):
         self.close(simulation)
 
     def _write_early_end(self, simulation: SimulationBase, ending: Ending) -> None:
-        """Write the result.json of a run that ended before its first row, unless an earlier result.json holds
-        results."""
+        """Write the result.json of a run that ended before its first row; keep an earlier result.json with results."""
         path = self.folder / "result.json"
         if path.is_file() and "steps" in read_json(path):
             return
@@ -200,7 +196,7 @@ class TableRecorder(Recorder):
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
-    """Raise an error if the folder's scene.json does not describe the same run as `record`, its new contents."""
+    """Raise :class:`RunFolderError` if the scene.json at `path` and the new contents `record` differ in the run."""
     there, here = read_json(path), json.loads(json.dumps(record))
     difference = _difference({name: there.get(name) for name in SAME_RUN}, {name: here[name] for name in SAME_RUN})
     if difference:
@@ -213,7 +209,7 @@ def _check_same_run(path: Path, record: dict[str, Any]) -> None:
 def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
     """Return in words the first entry that differs between two records, with both values; empty if they agree.
 
-    The time between checkpoints has no effect on results, so a continued run may have another one.
+    The time between checkpoints may differ, because it has no effect on results.
     """
     for name in dict.fromkeys([*there, *here]):
         old, new = there.get(name), here.get(name)

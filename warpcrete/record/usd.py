@@ -1,7 +1,7 @@
 """Recorder of a USD scene: bodies with time samples, walls, materials, light and a camera.
 
-One point instancer, with a prototype for each shape, shows all rigid bodies. A mesh shows the surface of the concrete
-if a flow is computed on a grid. Points show the particles of flows that are computed with moving particles.
+All rigid bodies are one point instancer with a prototype for each shape. The concrete of a flow on a grid is a mesh of
+its surface, and the particles of flows with moving particles are points.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -27,8 +27,8 @@ FRAMES_PER_SECOND = 1000  # One USD time code stands for one millisecond of simu
 class UsdRecorder(Recorder):
     """Recorder that writes scene.usdc, in metres with Z up, at checkpoints and at the end of a run.
 
-    The file is also written when a run is interrupted. With `velocities`, the file includes the velocities of rigid
-    bodies, which renderers need for motion blur, and is one and a half times as large as without velocities.
+    The file is also written when a run is interrupted. If `velocities` is true, it contains the velocities of rigid
+    bodies, which renderers need for motion blur; it is then one and a half times as large.
     """
 
     expendable = True
@@ -70,9 +70,9 @@ class UsdRecorder(Recorder):
         self._build(simulation, Usd.Stage.Open(layer))
 
     def _build(self, simulation: SimulationBase, stage: Any) -> None:
-        """Define all objects of the USD stage that do not change in time.
+        """Define all objects on the USD stage, with the data that does not change in time.
 
-        Objects that exist on the stage already are left as they are.
+        Objects that exist already, because a run is resumed, keep their time samples.
         """
         from pxr import UsdGeom
 
@@ -197,7 +197,7 @@ class UsdRecorder(Recorder):
             except Tf.ErrorException as error:
                 raise cannot_write(self.path, error) from error
             if not written:
-                raise cannot_write(self.path, OSError("no reason given by the library"))
+                raise cannot_write(self.path, OSError("the USD library states no reason"))
 
 
 class _Instances:

@@ -28,7 +28,7 @@ def linear(colours: np.ndarray) -> np.ndarray:
 
 
 def describe(stage: Any, display: Display, scene: Any) -> None:
-    """Write title, units and the meaning of the colours into the file and its root prim."""
+    """Write the title, the units and the meaning of the colours into the file and into its root prim."""
     words = (
         f"warpcrete: {scene.caption}; {display.noun} coloured by {display.colouring}. Metres, Z up; time codes are "
         f"milliseconds of simulated time. {meaning(display)}"
@@ -40,7 +40,7 @@ def describe(stage: Any, display: Display, scene: Any) -> None:
 
 
 def light(stage: Any, display: Display) -> None:
-    """Add a sky light and a sun that shines over the viewer's shoulder."""
+    """Add a sky light, and a sun that shines on the scene from above and from the side of the camera."""
     from pxr import Gf, UsdGeom, UsdLux
 
     UsdGeom.Scope.Define(stage, "/Run/Lights")
@@ -140,10 +140,7 @@ class Colours:
         self._known: dict[int, int] = {}
 
     def set(self, colours: np.ndarray, code: Any) -> None:
-        """Set the colours of all bodies at a USD time code, a number of milliseconds.
-
-        The colours are RGB bytes, shape (n, 3).
-        """
+        """Set the colours of all bodies, as RGB bytes of shape (n, 3), at the USD time code `code` [ms]."""
         from pxr import Vt
 
         packed = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
@@ -164,9 +161,9 @@ class Colours:
 
 
 class Painted:
-    """Colours over time of a wall that shows a quantity such as wear. The file stores indices into a table of colours.
+    """Colours over time of a wall that shows a quantity such as wear, as indices into a table of colours.
 
-    The table is the same for all frames. Each of its entries belongs to one of the discrete values to which
+    All frames use the same table. Each of its entries is the colour of one of the discrete values to which
     :class:`.Paint` rounds.
     """
 
@@ -178,7 +175,10 @@ class Painted:
         self._paint: Paint | None = None
 
     def set(self, values: np.ndarray, paint: Paint, code: Any) -> None:
-        """Colour the wall at a USD time code by the `values` at its vertices, shape (v,), in the unit of `paint`."""
+        """Set the colours of the wall at the USD time code `code` [ms].
+
+        `values` are the values of the quantity at the wall's vertices, shape (v,), in the unit of `paint`.
+        """
         from pxr import Vt
 
         if paint != self._paint:

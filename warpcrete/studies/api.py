@@ -23,11 +23,11 @@ def study(
     """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
 
     All settings of :func:`warpcrete.studies.study.run_study` are accepted, for example `repeat`, `one_at_a_time`,
-    `device`, `processes`, `frames`, `scheduler` and `workers`. `rerun` and `usd` switch on additional recordings of
-    each case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN).
-    With `quiet`, the progress that the command `warpcrete study` shows is left out; by default, progress appears only
-    in a terminal. A callback `progress` replaces it. Raises :class:`SceneError` if `scene` or `vary` is wrong, and
-    everything that :func:`warpcrete.studies.study.run_study` raises.
+    `device`, `processes`, `frames`, `scheduler` and `workers`. `rerun` and `usd` record each case also for the Rerun
+    viewer and as a USD file. All other keywords are parameters of the scene. `out` is the new folder (default:
+    runs/study-NNN). `quiet` hides the progress bar; by default, the bar is shown only in a terminal. If a callback
+    `progress` is given, it is called instead of showing the bar. Raises :class:`SceneError` if `scene` or `vary` is
+    wrong, and everything that :func:`warpcrete.studies.study.run_study` raises.
     """
     name, module = module_of(scene)
     if not isinstance(vary, Mapping):
@@ -49,9 +49,9 @@ def study(
 
 @contextmanager
 def study_progress(quiet: bool) -> Generator[Progress | None]:
-    """Provide a progress bar for a study as a callback, or None if `quiet`, and close the bar at the end.
+    """Yield a progress callback for a study that shows a progress bar, or None if `quiet`; close the bar at the end.
 
-    A line before the first progress says that the first cases may take long.
+    Before the bar, a line tells the user that the first cases compile kernels.
     """
     called = False
     with progress_bar(quiet) as bar:

@@ -40,14 +40,14 @@ def cases_of(
 
     `base` holds the fixed parameters of the scene function. `varied` holds a list of values for each varied parameter,
     and `defaults` the default values of all parameters. Each combination of values becomes `repeat` cases with
-    consecutive seeds, which begin with the seed in `base` (default 0). With `one_at_a_time`, only one parameter differs
-    from its value in `base` or its default, and identical cases are merged. `seeded` is True if the scene has a seed.
-    Raises :class:`SceneError` for empty or repeated values and for too many cases.
+    consecutive seeds, of which the first is the seed in `base` (default 0). With `one_at_a_time`, only one parameter at
+    a time differs from its value in `base` or its default, and identical cases are merged. `seeded` is True if the
+    scene has a seed. Raises :class:`SceneError` for empty or repeated values and for too many cases.
     """
     whole("repeat", repeat, 1, MAX_CASES)
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
-            refuse(name, values, "must be one or more values that are all different")
+            refuse(name, values, "must be one or more values that are all different", "leave out repeated values")
     if repeat > 1 and not seeded:
         refuse("repeat", repeat, "must be 1, because nothing in this scene depends on a seed")
     if "seed" in varied and repeat > 1:
@@ -77,9 +77,9 @@ def is_random(scene: Any) -> bool:
 
 
 def short_name(words: str) -> str:
-    """Return a folder name made of `words`.
+    """Return the text `words` as the name of a folder.
 
-    A name that is too long is cut off and ends in a hash of `words`.
+    A text of more than `MAX_NAME_LENGTH` characters is cut off, and a hash of the whole text is appended.
     """
     if len(words) <= MAX_NAME_LENGTH:
         return words

@@ -59,9 +59,8 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
     if workers is not None:
         whole("workers", workers, 1, 100_000)
         if scheduler not in SCHEDULERS:
-            refuse(
-                "workers", workers, f"cannot be set for '{scheduler}', which has its own workers", "leave out 'workers'"
-            )
+            problem = f"cannot be set for the running scheduler '{scheduler}', which has its own workers"
+            refuse("workers", workers, problem, "leave out 'workers'")
     if scheduler not in SCHEDULERS and ":" not in scheduler:
         refuse(
             "scheduler", scheduler, f"must be one of {', '.join(SCHEDULERS)}, or an address such as tcp://node1:8786"
@@ -89,9 +88,10 @@ class Cluster:
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     def device(self, wanted: str | None) -> str | None:
-        """Return the name of a device for use on a worker, without the GPU number, because a worker sees only one GPU.
+        """Return the name of the device that a worker uses if the user requests the device `wanted`.
 
-        If `wanted` is None, the result is the CPU on SLURM, because a SLURM job has a GPU only if one was requested.
+        The name has no GPU number, because a worker sees only one GPU. If `wanted` is None, the result is "cpu" on
+        SLURM, because a SLURM job has a GPU only if one was requested, and None for other schedulers.
         """
         return "cpu" if wanted is None and self._scheduler == "slurm" else unnumbered(wanted)
 
@@ -111,8 +111,8 @@ class Cluster:
         found = sorted(set(self._client.run(hardware, self.device(device)).values()))
         if len(found) > 1:
             raise WarpcreteError(
-                f"scheduler = {self._scheduler!r}: has different kinds of workers ({', '.join(found)}), whose times "
-                "cannot be compared; use workers of one kind"
+                f"scheduler = {self._scheduler!r}: has workers with different processors ({', '.join(found)}), so the "
+                "wall times of runs cannot be compared; use workers with the same processor"
             )
         return found[0]
 
@@ -145,13 +145,13 @@ class Cluster:
         *,
         lazily: bool = False,
     ) -> None:
-        """Run `function(record, module, folder, job, asked)` on workers for every job.
+        """Run a function on the workers, once for every job.
 
-        `where` holds the arguments `record`, `module` and `folder`. `jobs` yields pairs of a tag and a job. When a job
-        has ended, `store_outcome` is called with its tag and its result or exception. With `lazily`, the next job is
-        read from `jobs` only when a worker is free for it. `gap` tells whether the user has pressed Ctrl-C. After a
-        Ctrl-C, jobs that wait are cancelled, and running jobs end because their argument `asked`, a function, returns
-        True.
+        The call is `function(record, module, folder, job, asked)`. `where` holds the study's record, the module of its
+        scene and its folder. `jobs` yields pairs of a tag, which identifies the job for the caller, and the job itself.
+        When a job has ended, `store_outcome` is called with the tag and the result or exception. With `lazily`, the
+        next job is read from `jobs` only when a worker is free. `gap` tells whether the user has pressed Ctrl-C. In
+        that case, waiting jobs are cancelled, and the callback `asked` returns True, so that running jobs end early.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet
@@ -167,7 +167,7 @@ class Cluster:
                     running[self._client.submit(_run_job, function, *common, job, name, pure=False)] = tag
                 if gap.requested and not stopping:
                     stopping = True
-                    stop.set()  # make running jobs end the next time they take measurements
+                    stop.set()  # Running jobs check this event whenever they take measurements, and then end.
                     with_workers = {key for keys in self._client.processing().values() for key in keys}
                     for future in [future for future in running if future.key not in with_workers]:
                         future.cancel()
@@ -182,7 +182,7 @@ class Cluster:
                 for future in ended.done:
                     store_outcome(running.pop(future), _outcome(future))
         except WarpcreteError:
-            stop.set()  # `jobs` or `store_outcome` failed, so no further results can be stored: end the other jobs
+            stop.set()  # `jobs` or `store_outcome` failed, so no more results can be stored. Stop the running jobs.
             raise
         except Exception as lost:
             raise WarpcreteError(
@@ -206,10 +206,10 @@ def open_cluster(
 ) -> Iterator[Cluster | None]:
     """Yield the workers of a scheduler, given by its name or address; yield None if `scheduler` is None.
 
-    `local` starts processes on this machine: `workers` of them, or by default one per GPU, or on a CPU one for every
-    `threads` cores. `slurm` submits `workers` jobs (default 1) as Dask's configuration describes them, on GPUs if
-    `device` names one. Raises :class:`SceneError` for impossible settings, and :class:`WarpcreteError` if no scheduler
-    answers.
+    The scheduler `local` starts `workers` processes on this machine; the default is one per GPU, or on a CPU one for
+    every `threads` cores. The scheduler `slurm` submits `workers` jobs (default 1), which Dask's configuration
+    describes; they request GPUs if `device` is a GPU. Raises :class:`SceneError` for impossible settings, and
+    :class:`WarpcreteError` if no scheduler answers.
     """
     if scheduler is None:
         yield None
@@ -245,8 +245,7 @@ def _start_cluster(scheduler: str, workers: int | None, device: str | None, thre
             if shutil.which("sbatch") is None:
                 raise WarpcreteError(
                     "scheduler = 'slurm': the command sbatch is missing on this machine; start the study on a machine "
-                    "that "
-                    "submits jobs"
+                    "that can submit SLURM jobs"
                 )
             dask_cluster, workers = slurm_cluster(device, threads), workers or 1
             dask_cluster.scale(jobs=workers)
@@ -305,7 +304,8 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
 def slurm_cluster(device: str | None, threads: int = 1) -> Any:
     """Create a cluster of SLURM jobs from the section `jobqueue.slurm` of Dask's configuration.
 
-    Defaults for missing entries are a core for each thread of a run, 4 GB of memory, and one GPU if `device` names one.
+    If the section lacks an entry, a job has one core for each thread of a run, 4 GB of memory, and one GPU if `device`
+    is a GPU.
     """
     import dask.config
     from dask_jobqueue.slurm import SLURMCluster
@@ -320,7 +320,7 @@ def slurm_cluster(device: str | None, threads: int = 1) -> Any:
     directives = list(given.get("job-extra-directives") or [])
     if on_gpu and not any(each.strip().startswith(gpu) for each in directives):
         directives.append("--gres=gpu:1")
-    # A worker process gets one Dask thread because it runs one job at a time, however many threads a simulation uses.
+    # A worker process has a single Dask thread because it runs one job at a time. A simulation may use more threads.
     processes = 1 if on_gpu else cores // threads
     return SLURMCluster(
         cores=processes,
@@ -352,7 +352,7 @@ def _machine(device: str | None, precision: str, seed: int) -> tuple[str, dict[s
 
 
 def hardware(device: str | None) -> str:
-    """Return the model name of the GPU or CPU that computes on a device."""
+    """Return the model name of the GPU or CPU that the device name `device` stands for."""
     found = find_device(device)
     return found.name if found.is_cuda else processor()
 
@@ -362,7 +362,8 @@ def _run_job(
 ) -> T:
     """Run one job on a worker.
 
-    A lock admits one job at a time, because a process can capture kernel launches for only one simulation at once.
+    A lock prevents two jobs from running at the same time, because a process can capture the kernel launches of only
+    one simulation at a time.
     """
     with _job:
         return function(record, importlib.import_module(module_name), Path(folder), job, _stop_requested(stop))

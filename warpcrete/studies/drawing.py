@@ -68,7 +68,7 @@ def draw(
             )
         compared = [known[name] for name in (quantity, f"{quantity}_theory") if name in known]
     else:
-        # A deviation from theory needs no panel of its own where the theory itself is drawn.
+        # If the values by theory are drawn, the panel of deviations from theory is superfluous.
         drawn = {each.name for each in compared}
         compared = [
             each
@@ -110,10 +110,10 @@ def _measured(study: Any) -> dict[str, Quantity]:
 
 
 def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str]) -> tuple[float, str]:
-    """Return the factor from the SI `unit` of a quantity to the figure's unit, and this unit's name.
+    """Return the factor that converts values from the SI `unit` of a quantity to the unit of the figure, and that unit.
 
-    `wanted` is the unit in the figure that the caller states in the argument named `called`. If it is None, the result
-    is `usual`.
+    `wanted` is the unit of the figure, which the caller of :func:`draw` stated in the argument `called`. If it is None,
+    the result is `usual`.
     """
     if wanted is None:
         return usual
@@ -122,19 +122,22 @@ def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str])
 
 
 def _unit(study: Any, name: str) -> tuple[float, str]:
-    """Return the factor and the unit of display of a parameter; flows stated without a unit are drawn in m3/h."""
+    """Return the unit in which a parameter is drawn, preceded by the factor that converts SI values to this unit.
+
+    Flows that the user stated without a unit are drawn in m3/h.
+    """
     found = study.unit(name)
     return (3600.0, "m3/h") if found[1] == "m3/s" and name not in study.written else found
 
 
 def _common(study: Any) -> list[str]:
-    """Return texts for the title of the figure: those parameters in :data:`TITLE` that all cases share, with values."""
+    """Return the parts of the figure's title: parameters of :data:`TITLE` with the same value in all cases, as text."""
     first = study.cases[0].parameters
     same = [name for name in TITLE if name in first and all(c.parameters.get(name) == first[name] for c in study.cases)]
     texts = {name: _worded(study, name, first[name]) for name in same if first[name] is not None}
-    # If the study states a constant in addition to a named concrete, such as another yield stress, the title must say
-    # so. For a concrete from a file, the record of a case contains all constants, whether they were stated or not.
-    # Therefore, only constants that the study varies are mentioned in this case.
+    # If the study replaces a constant of a named concrete, such as its yield stress, the title must say so. If the
+    # concrete comes from a file, the parameters of a case contain all constants, so replaced constants are not
+    # recognisable. The title then mentions only constants that the study varies.
     given = (
         () if is_file(str(first.get("concrete"))) else [k for c in study.cases for k, v in c.parameters.items() if v]
     )
@@ -229,8 +232,7 @@ def _panel(
         axes.margins(x=0.2)
     simulated = [each.title for each in drawn if each.name not in theories] or [each.title for each in drawn]
     if len(simulated) == 1:
-        # A title alone, such as "end", may not be clear if no other quantity is drawn. Use the whole name of the
-        # quantity.
+        # The short title of a quantity, such as "end", is not clear on its own. Use the whole name of the quantity.
         simulated = [next(each for each in drawn if each.title == simulated[0]).name.replace("_", " ")]
     titles = textwrap.fill(" and ".join(simulated), LABEL_WIDTH)
     x_title = f"{name} [{x_scale[1]}]" if x_scale[1] else name
@@ -279,7 +281,10 @@ class _TheoryCurves:
         return ([place for place, _ in found], [value for _, value in found]) if found else None
 
     def _expected(self, given: Mapping[str, Any], name: str, place: float) -> Mapping[str, float]:
-        """Return the quantities by theory if the parameter `name` has the value `place`; empty for an invalid scene."""
+        """Return all quantities of a scene by theory, by name; empty if the scene is invalid.
+
+        The scene has the parameters `given`, except that the parameter `name` has the value `place`.
+        """
         assert self.module is not None, "the study has no scene of this package"
         with suppress(SceneError, KeyError), warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -37,7 +37,7 @@ OutcomeCallback = Callable[[Case, Any], None]
 def simulation_of(
     record: dict[str, Any], module: Any, folder: Path, case: Case, progress: Progress
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a case and the checkpoint from which it continues (None if it starts anew)."""
+    """Return the simulation of a case, and the path of the checkpoint from which it continues, or None without one."""
     here, command = folder / case.name, record["command"]
     every = command["checkpoint_every"]
     checkpoint = here / "checkpoint.npz"
@@ -72,7 +72,7 @@ def simulations_of(
     for case in cases:
         try:
             by_name[case.name] = simulation_of(record, module, folder, case, progress_of(case))
-        except Exception as error:  # an invalid case must not stop the other cases
+        except Exception as error:  # Catch everything, so that an invalid case does not stop the other cases.
             refused[case.name] = error
     return by_name, refused
 
@@ -117,8 +117,7 @@ def _run_group(
         by_name, found = simulations_of(record, module, folder, group, progress_of)
         simulations += [simulation for simulation, _ in by_name.values()]
         for simulation in simulations:
-            # If the user pressed Ctrl-C before the simulations existed, they have not received the request to stop.
-            # Pass it on now.
+            # If the user pressed Ctrl-C while the simulations were created, they have not received the request to stop.
             simulation.stop_requested |= stop.requested
 
         def packing(phase: str, fraction: float) -> None:
@@ -158,8 +157,8 @@ def run_in_processes(
 ) -> None:
     """Run the cases in worker processes, one case per process at a time.
 
-    A case is submitted only when a process is free, so no further case starts after a Ctrl-C or after a process has
-    received SIGTERM.
+    A case is submitted only when a process is free. No further case is therefore waiting, and none starts, after the
+    user has pressed Ctrl-C or a process has received SIGTERM.
     """
     workers = min(processes or default_threads(), len(pending))
     left = list(pending)
@@ -183,7 +182,7 @@ def run_in_processes(
                         outcome = error
                     store_outcome(case, outcome)
             except KeyboardInterrupt:
-                crew.stop()  # make running cases end the next time they take measurements
+                crew.stop()  # The running cases end the next time they take measurements.
         if crew.terminated:
             print("interrupted, because a worker process received SIGTERM", file=sys.stderr, flush=True)
 
@@ -214,10 +213,10 @@ def run_cases(
 
 
 def stop_callback(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
-    """Return a progress callback that ends runs when `asked` returns True.
+    """Return a progress callback that ends the `simulations` when `asked` returns True.
 
-    Running simulations end the next time they take measurements; any earlier phase, such as packing, is interrupted at
-    once.
+    A simulation that is running ends the next time it takes measurements. If it is still in an earlier phase, such as
+    packing, it is interrupted at once by a `KeyboardInterrupt`.
     """
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
@@ -241,7 +240,7 @@ def _plain(outcome: Any) -> Any:
 
 
 def outcome_of(folder: Path) -> Any:
-    """Return the earlier outcome of a case from its folder: its result.json, its error, or None if it is unfinished."""
+    """Return the outcome of a case from its folder: the contents of its result.json, its error, or None if neither."""
     if (folder / FAILED).is_file():
         return WarpcreteError(saved_text(folder / FAILED).strip())
     if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
@@ -252,7 +251,10 @@ def outcome_of(folder: Path) -> Any:
 
 
 def previous_outcome(folder: Path) -> Any:
-    """Return a case's earlier outcome; delete the case's folder if it has neither outcome nor checkpoint."""
+    """Return a case's outcome from an earlier call, or None.
+
+    If the case has neither an outcome nor a checkpoint, its folder is deleted, so that the case can start again.
+    """
     found = outcome_of(folder)
     if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
         hold = FolderLock(folder)

@@ -1,8 +1,8 @@
 """Parameter studies: cases from lists of parameter values, run in parallel, with one table and one figure.
 
-On a GPU, cases of discrete elements that need the same features run as one batch, and flows run side by side on streams
-of their own. On a CPU, each case runs in its own process. Every case has its own run folder inside the study's folder,
-and a resumed study runs only unfinished cases.
+On a GPU, cases of discrete elements that need the same features run as one batch, and flows run at the same time, each
+on its own CUDA stream. On a CPU, each case runs in its own process. Every case has its own run folder inside the
+study's folder, and a resumed study runs only unfinished cases.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -70,9 +70,9 @@ def run_study(
     them. `processes` is the number of processes on a CPU (default: one per core). `frames` is the number of recorded
     frames per simulated second, and `checkpoint_every` the wall time between checkpoints [s]. `recorders` switches on
     additional recordings (`rerun`, `usd`). With a `scheduler`, the cases run on the `workers` of
-    :func:`warpcrete.studies.cluster.open_cluster`. `units` names units of parameters for the table and the figure;
-    parameters given as texts, such as "5 m3/h", have the units of these texts. Raises :class:`SceneError` before
-    anything is written if a case is no valid scene.
+    :func:`warpcrete.studies.cluster.open_cluster`. `units` maps names of parameters to the units in which the table and
+    the figure show them; a parameter whose values are texts, such as "5 m3/h", is by default shown in the unit of these
+    texts. Raises :class:`SceneError` before anything is written if a case is not a valid scene.
     """
     check_scheduler(scheduler, workers, processes)
     units = written_units(module.scene, {n: [v] for n, v in (base or {}).items()} | dict(varied)) | dict(units or {})
@@ -125,10 +125,10 @@ def run_listed(
     units: Mapping[str, str] | None = None,
     **recorders: bool,
 ) -> Study:
-    """Run a study of the given cases, with or without figures of the study and of its cases.
+    """Run a study of the given cases; :func:`run_study` explains all arguments except `figure`.
 
-    `figure` switches these figures on; drawing one takes as long as hundreds of measurements during a run. See
-    :func:`run_study` for the other arguments.
+    `figure` is True if the study and its cases write figures. Drawing one figure takes as long as hundreds of
+    measurements during a run.
     """
     cases = list(cases)
     if frames is not None:
@@ -140,8 +140,8 @@ def run_listed(
     check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
-        # In the study's record, store the values that the scene uses, for example absolute paths and the parameters
-        # that follow from the name of a concrete.
+        # Store in the study's record the values that the scene uses: absolute paths in place of relative ones, and the
+        # parameters of a named concrete.
         cases[place] = replace(case, parameters=module.scene.plain(made, case.parameters))
         check_named(made)
         files |= made.parameters.files
@@ -266,8 +266,8 @@ def load_study(folder: Path) -> Study:
     name, known = read_record(folder / "study.json").get("scene"), modules()
     if name not in list(known):
         raise RunFolderError(
-            f"'{folder / 'study.json'}': names a scene that this version does not have; its scenes are "
-            f"{', '.join(known)}"
+            f"'{folder / 'study.json'}': its scene {name!r} does not exist in this version, which has "
+            f"{', '.join(known)}; load the study with the version that made it"
         )
     _, study = _opened(folder, known[name])
     for case in study.cases:
@@ -276,10 +276,10 @@ def load_study(folder: Path) -> Study:
 
 
 def written_units(scene: Any, written: Mapping[str, Sequence[Any]]) -> dict[str, str]:
-    """Return the units in which parameters are written, by the parameter's name.
+    """Return the units in which the user stated the values of parameters, by the parameter's name.
 
-    `written` holds the values of each parameter as the user stated them. Parameters without a unit, or with several
-    units, are missing from the result.
+    `written` holds the values of each parameter as the user wrote them, such as "5 m3/h". A parameter is left out if
+    its values have no unit or different units.
     """
     fields = {name: field for name, field in scene.fields({}).items() if field.kind is float}
     found: dict[str, str] = {}
@@ -303,23 +303,24 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
         if name in found and not any(field.of_kind(CompositeRule)):
             used = [repr(field.converted(value, name)) for value in found[name]]
             if len(set(used)) < len(used):
-                refuse(name, found[name], "must be one or more values that are all different")
+                refuse(name, found[name], "must be one or more values that are all different",
+                       "leave out repeated values")  # fmt: skip
     return found
 
 
 def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
-    """Return the cases without those parameters that do not affect the results of the case.
+    """Remove from each case the parameters that do not affect its results, and return the cases.
 
-    Raises :class:`SceneError` if a parameter that varies affects none of the cases, or if another parameter affects no
-    case and its rule is strict. For a parameter whose rule is not strict, such as the density of aggregates in a flow
-    without aggregates, creating the scene gives a warning.
+    Raises :class:`SceneError` if a varied parameter affects none of the cases. If a parameter that is not varied
+    affects none of the cases, creating the scene gives an error or a warning, depending on how the scene declares the
+    parameter. The density of aggregates in a flow without aggregates, for example, gives a warning.
     """
     found = [replace(case, parameters=scene.effective_values(case.parameters)) for case in cases]
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if idle := set(case.parameters) - used:
-            # At least one parameter of this case affects none of the cases, so it is probably a mistake. Creating the
-            # scene raises an error that names the parameter, or gives a warning.
+            # The parameters in `idle` affect no case of the study, which is probably a mistake. Create the scene, which
+            # raises an error or gives a warning that names the parameter.
             scene(**case.parameters)
             for name in sorted(idle & set(case.varied)):
                 problem = "is varied, but has no effect in any case of the study"
@@ -331,7 +332,7 @@ def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
 
 
 def _take_over(study: Study, case: Case) -> bool:
-    """Store the outcome of a case that finished or failed in an earlier call; return whether there is such an outcome.
+    """Store the outcome of a case from an earlier call, and return whether the case has finished or failed.
 
     The folder of a case that was interrupted before its first checkpoint is deleted.
     """

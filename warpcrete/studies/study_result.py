@@ -45,7 +45,7 @@ class Study:
     failures: dict[str, str] = field(default_factory=dict)
     """Messages of the errors that ended cases, by case name."""
     not_at_fault: set[str] = field(default_factory=set)
-    """Names of cases that failed only because their process died or the disk was full."""
+    """Names of cases that failed without a fault of their own, because their process died or the disk was full."""
     written: Mapping[str, str] = field(default_factory=dict)
     """Units in which the user stated parameters, by name; the table and the figure use these units."""
 
@@ -76,7 +76,7 @@ class Study:
 
     @property
     def compared(self) -> list[Quantity]:
-        """Quantities that at least one case yields; all quantities while no case has finished."""
+        """Compared quantities that at least one case has in its result; all of them as long as no case has finished."""
         results = self.results.values()
 
         def met(each: Quantity) -> bool:
@@ -96,7 +96,7 @@ class Study:
         return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
 
     def unit(self, parameter: str) -> tuple[float, str]:
-        """Return the factor by which a value of a parameter is multiplied for display, and the unit of display.
+        """Return the unit in which a parameter is displayed, preceded by the factor that converts SI values to it.
 
         The unit is the one in which the user stated the parameter. Values without a unit are displayed in SI units.
         """
@@ -116,8 +116,9 @@ class Study:
     def rows(self, quantities: Sequence[Quantity] | None = None) -> list[dict[str, Any]]:
         """Return one row for each set of varied values: means and standard deviations of quantities over the seeds.
 
-        Without `quantities`, the rows have the compared quantities. If some of the finished runs lack a quantity, such
-        as a plateau, the entry with the suffix `_runs` is the number of runs that have it.
+        `quantities` are the quantities in the rows, by default those of :attr:`compared`. The standard deviation of a
+        quantity has the suffix `_scatter`. If some of the finished runs have no value of a quantity, such as a plateau,
+        the number of runs with a value has the suffix `_runs`.
         """
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
@@ -171,10 +172,10 @@ class Study:
     def to_xarray(self) -> Any:
         """Return all cases and seeds as an xarray Dataset in SI units, with one dimension for each varied parameter.
 
-        Several seeds have the dimension `seed`. Combinations of values that the study does not contain are NaN, or an
-        empty text. If two cases share all values, a case lacks a value, or the study contains less than half of all
-        combinations, the only dimension is `case`. Variables with a unit have it in `attrs["units"]`. Raises
-        :class:`WarpcreteError` if xarray is not installed.
+        If the study has several seeds, `seed` is a further dimension. Combinations of values that the study does not
+        contain are NaN, or an empty text. The only dimension is `case` if two cases have the same values, if a case has
+        no value of a varied parameter, or if the study contains less than half of all combinations. Variables with a
+        unit have it in `attrs["units"]`. Raises :class:`WarpcreteError` if xarray is not installed.
         """
         columns, units = columns_of(self)
         found = dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")

@@ -11,10 +11,10 @@ FINISHED, FAILED, OPEN = "finished", "failed", "not finished"
 
 
 def columns_of(study: Any) -> tuple[dict[str, list[Any]], dict[str, str]]:
-    """Return the columns of a study's table by name, with one row per case and seed, and the columns' units.
+    """Return the columns of a study's table by name, with one row per run, and the units of the columns by name.
 
-    Columns are the case, its outcome, seed and varied parameters, every number of its result in SI units, the names of
-    failed checks, and the error. Columns without a unit are missing from the units.
+    The columns are the case, its outcome, its seed, the varied parameters, all numbers of its result in SI units, the
+    names of failed checks, and the error. A column without a unit is missing from the units.
     """
     rows = [_row(study, case) for case in study.cases]
     first = ["case", "outcome", "seed", *study.varied]
@@ -34,7 +34,7 @@ def _row(study: Any, case: Any) -> tuple[dict[str, Any], dict[str, str]]:
     row: dict[str, Any] = {"case": case.name, "outcome": outcome, "seed": case.parameters.get("seed"), **case.varied}
     units: dict[str, str] = {}
     for name, entry in result.items():
-        if name in row:  # a varied parameter takes precedence over a result of the same name
+        if name in row:  # A varied parameter and a result may have the same name. The column shows the parameter.
             continue
         if isinstance(entry, dict) and set(entry) == {"value", "unit"}:
             units[name] = entry["unit"]

@@ -23,8 +23,8 @@ from typing import Any
 
 from ..core.errors import PlausibilityWarning, WarpcreteError, warn_in_one_line
 
-# Workers ignore Ctrl-C and the end of the terminal from their first moment on, because the parent process handles these
-# signals and tells its workers to stop.
+# The parent process handles Ctrl-C and the end of the terminal, and tells its workers to stop. Each worker therefore
+# ignores these signals, even before it imports the package.
 START_CODE = """\
 import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)
 if hasattr(signal, "SIGHUP"): signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -47,7 +47,7 @@ class NoWorker(WarpcreteError):
 
 
 class WorkerPool:
-    """Pool of worker processes that are started on demand; several threads may give them jobs at the same time."""
+    """Pool of worker processes, which start when they are needed. Several threads may call :meth:`run` at once."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -56,7 +56,7 @@ class WorkerPool:
         self.stopping = False
         """True if the workers have received the message to end their cases the next time they take measurements."""
         self.terminated = False
-        """True if SIGTERM, which a worker received, has stopped the pool."""
+        """True if a worker has received SIGTERM, and the pool was stopped for this reason."""
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -76,9 +76,9 @@ class WorkerPool:
     def run(self, *job: Any) -> Any:
         """Run a job (a function and its arguments) in a worker process; return its result or the exception it raised.
 
-        If the worker receives SIGTERM, all workers are told to stop, as after a Ctrl-C. The result is None if the
-        worker ended before its job did. Raises :class:`WorkerDied` if the worker process ends during the job for
-        another reason, and :class:`NoWorker` if none can be started.
+        If the worker receives SIGTERM, all workers are told to stop, as after a Ctrl-C; the result is None if SIGTERM
+        ended the worker before its job was complete. Raises :class:`WorkerDied` if the worker process ends during the
+        job for another reason, and :class:`NoWorker` if no worker process can be started.
         """
         try:
             found, terminated = self._answer_of(*job)
@@ -110,7 +110,7 @@ class WorkerPool:
             raise
         try:
             worker.send(job)
-        except Exception:  # If a job cannot be pickled, the worker has not received it and stays idle.
+        except Exception:  # The job cannot be pickled. The worker has not received it, so it is still idle.
             with self._lock:
                 self._idle.append(worker)
             raise
@@ -152,7 +152,7 @@ class _Worker:
         except EOFError:
             kind = WorkerTerminated if self._process.wait() == -signal.SIGTERM else WorkerDied
             raise kind(f"its process {self._end()}") from None
-        except Exception as error:  # unpickling a damaged answer may raise any exception
+        except Exception as error:  # Catch everything, because a damaged answer may raise any exception.
             raise WorkerDied(f"its process failed: {type(error).__name__}: {error}") from error
 
     def wait_until_ready(self) -> None:
@@ -184,7 +184,7 @@ def serve() -> None:
     SIGTERM ends the process at once.
     """
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # redirect printed text to stderr, because stdout carries the answers
+    os.dup2(2, 1)  # Redirect printed text to stderr, because stdout is the channel for the answers.
     warn_in_one_line()
     # Ignore warnings about unlikely values, because the parent process has shown them already.
     warnings.simplefilter("ignore", PlausibilityWarning)
@@ -228,7 +228,7 @@ def _answer(answers: Any, *message: Any) -> None:
     """Send a message of one or several values to the parent process."""
     try:
         data = pickle.dumps(message)
-    except Exception:  # some exceptions cannot be pickled, so send their text instead
+    except Exception:  # Some exceptions cannot be pickled. Send the text of such an exception instead.
         error, *others = message
         data = pickle.dumps((WarpcreteError(f"{type(error).__name__}: {error}"), *others))
     answers.write(data)

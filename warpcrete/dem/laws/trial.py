@@ -350,7 +350,7 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
             refuse(
                 f"{name}.stiffness()",
                 f"{label} = {told[place]:.3g} {unit} at an overlap of {depth[place[1]]:.3g} m",
-                f"must be at least {acts[place]:.3g} {unit}, the value that follows from force(), so that steps are stable",
+                f"must be at least {acts[place]:.3g} {unit}, the value that follows from force(), for stable steps",
                 "return k_n, k_s, c_n and c_s in this order",
             )
 

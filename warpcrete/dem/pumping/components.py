@@ -21,12 +21,12 @@ from .parameters import stiffness_of
 
 
 def contact_of(given: Any) -> ContactLaw:
-    """Return the contact law between aggregates that the scene parameters `given` describe."""
+    """Return the contact law between aggregates that follows from the scene parameters `given`."""
     return given.contact if given.contact is not None else linear_of(given)
 
 
 def linear_of(given: Any) -> Contact:
-    """Return the linear contact law that the scene's own contact parameters describe."""
+    """Return the linear contact law that follows from the contact parameters of the scene, such as `modulus`."""
     return Contact(
         effective_modulus=given.modulus,
         stiffness_ratio=given.stiffness_ratio,
@@ -147,9 +147,9 @@ MOST_BALLS = 600_000
 
 @dataclass(frozen=True)
 class Plug:
-    """Plug that closes the front of the concrete: bonded balls or a plate, on which a pressure acts against the flow.
+    """Plug that closes the front of the concrete: bonded balls or a plate, pressed against the flow.
 
-    If there is no plug, all fields are empty.
+    All fields are empty if the scene has no plug.
     """
 
     bodies: tuple[Bodies, ...] = ()

@@ -345,7 +345,7 @@ class RunParameters(Declared):
     safety: Safety = 0.8
     overlap_limit: Annotated[
         float,
-        "Overlap at which the run stops, as a multiple of the overlap that swallows an aggregate; 0: no limit",
+        "Overlap at which the run stops, divided by the overlap at which one sphere lies inside another; 0: no limit",
         Within(0),
     ] = 1.5
     energy_balance: EnergyBalance = False

@@ -46,8 +46,7 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the section of a concrete's file for discrete elements, and the parameters allowed in
-        it."""
+        """Return the name of the section for discrete elements in a concrete's file, and its allowed parameters."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
@@ -125,14 +124,16 @@ class PipeParameters(
 
     @property
     def arc(self) -> float:
-        """Length of the centreline of the pipe unit's bend [m]."""
+        """Length of the centreline of the bend, whose angle is 90 degrees [m]."""
         return math.pi / 2 * self.elbow_radius
 
     @property
     def distance(self) -> float:
         """Travel of the piston in the whole run [m].
 
-        It is the parameter `travel` if given, otherwise it follows from strokes, bend, ramp or length of the pipe.
+        It is the parameter `travel` if given, otherwise the sum of all strokes if `stroke` is given. By default the
+        travel is the arc of a bend; in a straight pipe it is three ramps per stroke if the piston stops between
+        strokes, otherwise two ramps, or the length of the concrete if there is no ramp.
         """
         if self.travel is not None:
             return self.travel

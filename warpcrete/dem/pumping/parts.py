@@ -151,10 +151,12 @@ class Course:
     straight pipe of constant diameter."""
     line: PipeLine | None = None
     inserts: tuple[Insert, ...] = ()
-    """Sections of the pipe whose bore is a mesh."""
+    """Sections of the pipe whose bore is a mesh, with the arc lengths of their ends [m]."""
     clear: Bores | None = None
-    """Radii, along the axis, of the largest circles about the axis that lie inside the bore; None if no section of the
-    bore is a mesh."""
+    """Radii [m] of the largest circles about the axis that lie inside the bore, as a function of arc length.
+
+    None if no section of the bore is a mesh.
+    """
 
     @property
     def narrowest(self) -> float:
@@ -224,7 +226,7 @@ def _middle(line: PipeLine) -> tuple[float, float] | None:
 def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
     """Yield the parts of a pumping line whose bore is a mesh.
 
-    The arc lengths of these parts include the straight pipe of the length `travel` [m] before the line.
+    Arc lengths are counted from the beginning of the straight pipe before the line, whose length is `travel` [m].
     """
     for part, (begin, end) in zip(line.parts, pairwise(travel + ends(line)), strict=True):
         if part.mesh:
@@ -267,8 +269,8 @@ def _meshed(given: PartElements) -> PipeLine:
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
     """Return the axis of a single pipe part, its inner radii, and where its bend and taper begin and end.
 
-    The axis begins at the origin. Beginning and end are arc lengths [m]. For a straight pipe of constant diameter, the
-    third result is None.
+    The axis begins at the origin. The third result contains two arc lengths [m]: the beginning of the first of these
+    parts and the end of the last. It is None for a straight pipe of constant diameter.
     """
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     radius, straight = given.diameter / 2, given.straight

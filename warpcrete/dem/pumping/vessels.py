@@ -171,7 +171,7 @@ class VesselRun(Declared):
     safety: Safety = 0.8
     overlap_limit: Annotated[
         float,
-        "Overlap at which the run stops, as a multiple of the overlap that swallows a grain; 0: no limit",
+        "Overlap at which the run stops, divided by the overlap at which one grain lies inside another; 0: no limit",
         Within(0),
     ] = 1.5
     energy_balance: EnergyBalance = False
@@ -187,8 +187,8 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     HOLDING: ClassVar[dict[str, float]] = {}
     """Default of `mould_grip` by contact law, for tests with a funnel; the default of laws not listed is 0.
 
-    `mould_grip` is the resistance of the walls to sliding, divided by the resistance between grains. Without friction
-    on the walls, mortar would fall out of a funnel in two seconds whatever its viscosity.
+    `mould_grip` is the resistance of the walls to sliding, divided by the resistance between grains. Without resistance
+    on the walls, mortar of any viscosity would fall out of a funnel in two seconds.
     """
 
     def __post_init__(self) -> None:
@@ -266,7 +266,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )  # fmt: skip
 
     def vessel(self, test: StandardTest, opened: float) -> Vessel:
-        """Return the vessel of a test; from the time `opened` [s] on, nothing holds the concrete back."""
+        """Return the description of the vessel of a test, which releases the concrete at the time `opened` [s]."""
         return Vessel(
             test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self), concrete=self.fluid()
         )
@@ -280,7 +280,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
                         slip_yield=0.0)  # fmt: skip
 
     def fill(self, inside: Solid) -> Fill:
-        """Return the grains to be packed into the closed solid `inside`, with their sizes and solid fraction."""
+        """Return a :class:`Fill` that describes the grains to be packed into the closed solid `inside`."""
         return Fill(
             container=MeshContainer(inside.trimesh()),
             sizes=self.distribution(),

@@ -23,7 +23,7 @@ CURES = {
 def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
     """Return the check of the energy balance by name; it is empty if the run did not sum up dissipated energy.
 
-    The error is not a number if nothing moved. Such a run has no energy to lose, so it has no check either.
+    A run in which nothing moved has no energy to lose. Its error is NaN, and the check is left out as well.
     """
     error = run.result.get("energy_balance_error")
     if error is None or math.isnan(error):
@@ -38,8 +38,10 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _finer(scene: Scene, error: float) -> str:
-    """Return a finer time step setting. If the error is proportional to the time step, it becomes four fifths of its
-    limit."""
+    """Return a setting for a finer time step, with which the error becomes four fifths of the limit.
+
+    The error is assumed to be proportional to the time step.
+    """
     factor = 0.8 * LARGEST_ENERGY_ERROR / error
     if scene.time_step.fixed is not None:
         fixed = f"{factor * scene.time_step.fixed:.2g}"
@@ -77,10 +79,13 @@ def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def warn_of_coarse_step(run: Run) -> None:
-    """Warn if the energy balance shows that the time step of a run is too coarse, or its contact law is wrong."""
+    """Warn if the energy balance of a run has too large an error, because the time step is too coarse.
+
+    The cause may also be a wrong contact law, if the law is defined outside this package.
+    """
     for passed, found in energy_check(run).values():
         if not passed:
             own = ", or the contact law is wrong" if own_laws(run.scene.laws()) else ""
             warnings.warn(
-                f"the time step is coarse for the impacts in this run{own}: energy balance, {found}", stacklevel=2
+                f"the time step is too coarse for the impacts in this run{own}: energy balance, {found}", stacklevel=2
             )

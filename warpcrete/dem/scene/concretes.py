@@ -1,4 +1,4 @@
-"""Translate a named concrete, or one from a file, to parameters of discrete elements."""
+"""Translate a named concrete, or a concrete from a file, into parameters of discrete elements."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -40,11 +40,10 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
         section = {**found.elements, **_of_flow(found, layer_given), **found.mix.elements}
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
-        warn(f"concrete {found.name} has no sieve curve, so the scene's default sizes apply to its aggregate; give a "
-             "sieve curve of openings [mm] and shares that pass, in a mix 'sieve: {4: 0, 8: 0.4, 16: 1}', or as the "
-             "parameter sizes='4:0,8:0.4,16:1'")  # fmt: skip
-    # The density of the elements follows from the concrete's bulk density, unless the user gives the density of the
-    # elements.
+        warn(f"concrete {found.name} has no sieve curve, so its aggregate has the default sizes of the scene; give "
+             "sieve openings [mm] with the fractions that pass them, in a mix 'sieve: {4: 0, 8: 0.4, 16: 1}', or as "
+             "the parameter sizes='4:0,8:0.4,16:1'")  # fmt: skip
+    # The elements get the bulk density of the concrete, unless the user gives a density.
     if "density" in values:
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)
@@ -57,7 +56,7 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     of Zhan (2019, Table 1).
 
     Discrete elements support only Bingham's law for the slip layer. Raises :class:`SceneError` for another law, unless
-    `layer_given` is True, which means that the caller replaces this layer by other values.
+    `layer_given` is True. The caller then replaces the values of the layer.
     """
     flow = flow_amounts(found)
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
@@ -70,8 +69,8 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
             refuse(
                 f"concrete flow {name}",
                 flow[name],
-                "describes a slip layer whose stress does not grow linearly with velocity, which discrete elements "
-                "cannot simulate",
+                "cannot be simulated with discrete elements, because the stress of such a slip layer does not grow "
+                "linearly with velocity",
                 "give layer_yield and layer_viscosity in the section 'elements'",
             )
     stiffer, thicker = (flow.get(name, plain) for name, plain in FACTORS.items())

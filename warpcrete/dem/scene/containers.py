@@ -32,13 +32,13 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 
 @dataclass(frozen=True)
 class PipeContainer:
-    """Container that is the first `length` of a pipe along its axis, closed by a plane at either end.
+    """Container in the shape of a pipe: a part of the pipe of a given length, closed by a plane at either end.
 
-    A round pipe of constant radius is described by `radius` alone. In other pipes, such as a reducer or a pipe of few
-    facets, the mesh `bore` is the wall; `radius` is then the smallest radius, and `area` is the mean cross-sectional
-    area. If the radius varies, `bores` gives the radius as a function of arc length, so that aggregates are placed
-    evenly over the volume. If the cross-section is not round, `clear` gives the radii of the largest circles about the
-    axis that lie inside the bore; aggregates are placed within these circles.
+    The part begins where the axis begins. A round pipe of constant radius is described by `radius` alone. In other
+    pipes, such as a reducer or a pipe with flat facets, the mesh `bore` is the wall; `radius` is then the smallest
+    radius, and `area` is the mean cross-sectional area. If the radius varies, `bores` gives the radius as a function of
+    arc length, so that aggregates are placed evenly over the volume. If the cross-section is not round, `clear` gives
+    the radii of the largest circles about the axis that lie inside the bore; aggregates are placed in these circles.
     """
 
     axis: Axis
@@ -127,7 +127,7 @@ class MeshContainer:
         return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
 
     def pilot(self) -> MeshContainer:
-        """Return the container itself for trial packings, because an arbitrary mesh has no smaller similar copy."""
+        """Return the whole container for trial packings, because a mesh cannot be shortened as a pipe can."""
         return self
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
@@ -138,7 +138,7 @@ class MeshContainer:
             points = lower + low_discrepancy_points(wanted, random) * (upper - lower)
             inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
             if len(inside) >= count:
-                # Only the whole sequence of points is evenly distributed, so drop surplus points at regular intervals.
+                # Only the whole sequence is evenly distributed, so drop surplus points at regular intervals.
                 return inside[np.linspace(0, len(inside) - 1, count).astype(int)]
             wanted *= 2
 
@@ -152,7 +152,7 @@ class Fill:
     """
 
     container: PipeContainer | MeshContainer
-    """Volume that the bodies fill."""
+    """Container that the bodies fill: a piece of pipe, or the interior of a closed mesh."""
     sizes: Sizes = field(default_factory=Gaussian)
     """Distribution of the bodies' sizes: `Gaussian`, `Uniform` or `SieveCurve` of :mod:`warpcrete.dem.scene.sizes`. The
     default is `Gaussian()`, from 5 to 20 mm."""
@@ -180,8 +180,8 @@ class Fill:
     def filled_density(self) -> float:
         """Mass of the bodies per volume of the filled container [kg/m3]; 0 if it is not known in advance.
 
-        It is `bulk_density` if given, otherwise the density of the grains times the solid fraction. It is not known if
-        a pressure determines how densely the grains are packed.
+        The value is `bulk_density` if given, otherwise the density of the grains times the solid fraction. Without a
+        bulk density, it is unknown for packings to a given pressure, because the solid fraction is then a result.
         """
         return self.bulk_density or self.density * (self.solid_fraction or 0.0)
 

@@ -34,7 +34,7 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class AxisDrive:
-    """Constant force on every body of a group, along the local direction of a pipe axis."""
+    """Constant force that drives a group of bodies along a pipe axis; all bodies of the group share it equally."""
 
     group: str
     axis: Axis
@@ -213,7 +213,7 @@ class Scene(Parametrised):
     """Bonds between the bodies of a group, by the name of the group, for example of the balls that close the front of
     the concrete. They are created before the bodies come to rest (settle)."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    """Gravitational acceleration [m/s2]."""
+    """Gravitational acceleration, a vector [m/s2]."""
     local_damping: float = 0.0
     """Fraction of the unbalanced force that opposes motion, 0 to 0.99; 0 for physical motion."""
     settle: Settle | None = None
@@ -241,7 +241,7 @@ class Scene(Parametrised):
     segregation: bool = False
     """True to measure segregation, the distribution of aggregate over the pipe; requires `pipe`."""
     pressure: PressureProbe | None = None
-    """Plane wall whose force is reported as a pressure [Pa]."""
+    """Plane wall on which a pressure is measured [Pa], and the area of this measurement."""
     pipe: PipeUnit | None = None
     """Description of the pipe, if the scene pumps through one; it only affects measurements."""
     vessel: Vessel | None = None
@@ -274,7 +274,7 @@ class Scene(Parametrised):
         flow = np.pi * self.pipe.radius**2 * self.pipe.velocity
         name = f"{self.name} {self.pipe.name}"
         if self.parameters.get("contact") is not None:
-            # Name the contact law that the user chose: it replaces the contact parameters of the concrete.
+            # The contact law that the user chose replaces the parameters of the concrete, so name the law instead.
             name, concrete = f"{name}, contact law {type(self.contact).__name__}", ""
         return pumping_caption(name, self.pipe.radius, concrete, flow)
 

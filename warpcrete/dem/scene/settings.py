@@ -110,8 +110,9 @@ class Watch(Declared):
 
     overlap: Annotated[
         float | None,
-        "Largest overlap, as a multiple of the overlap that swallows the smaller sphere, halves the distance of the "
-        "centres or brings a centre behind a wall, whichever comes first; checked at every sample. None: no limit",
+        "Largest overlap, divided by the overlap at which the larger sphere contains the smaller one, the distance of "
+        "the centres is halved, or a centre reaches a wall (the smallest of these); checked at every sample. "
+        "None: no limit",
         Above(),
     ] = 1.0
     speed: Annotated[float, "Largest speed of any body [m/s], checked in every step", Above()] = 1e3
@@ -159,13 +160,13 @@ class Blockage(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Rest(Declared):
-    """Rest of the concrete for minutes at one moment of a run: a formula gives the build-up of its structure.
+    """Rest of the concrete: it stands still for minutes and gains strength, which a formula gives without time steps.
 
     The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t, with the duration t of the rest and the growth
     rate A_thix (Roussel 2006). The increase A_thix t is also added to the tensile strength and cohesion of the scene's
     bonds, and to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry,
     and contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a body group do not
-    change. A bond that breaks after the rest stays broken. If the scene lets bonds heal, a bond that heals has the
+    change. A bond that breaks after the rest stays broken, unless the scene lets bonds heal. A healed bond has the
     strength that bonds had before the rest.
 
     Slip on the wall reduces the gain of the layer: the gain is multiplied by exp(-slip / breakdown). As in plug flow,

@@ -77,7 +77,7 @@ class SieveCurve:
         if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):
             refuse("openings", self.openings, "must be above 0 m, and each must exceed the opening before it")
         if passing[0] != 0 or passing[-1] != 1 or np.any(np.diff(passing) < 0):
-            refuse("passing", self.passing, "must increase from 0 to 1, without falling in between")
+            refuse("passing", self.passing, "must rise from 0 to 1 and never fall from one opening to the next")
         object.__setattr__(self, "openings", tuple(openings.tolist()))
         object.__setattr__(self, "passing", tuple(passing.tolist()))
 
@@ -85,8 +85,8 @@ class SieveCurve:
     def from_text(cls, text: str, field: str, allowed: str) -> SieveCurve:
         """Return the curve of a text 'mm:passing,...', with the fraction of the mass that passes each sieve opening.
 
-        Raises :class:`SceneError` for the parameter `field` if the text has another form; `allowed` says what the
-        parameter may be.
+        Raises :class:`SceneError` if the text has another form; `field` and `allowed` are the name of the parameter and
+        its allowed values in the message.
         """
         try:
             openings, passing = zip(*(map(float, part.split(":")) for part in text.split(",")), strict=True)

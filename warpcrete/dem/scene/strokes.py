@@ -64,7 +64,7 @@ def peaks(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float
 
 
 def held(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]:
-    """Return the mean pressure over the last half of each pause [Pa]; NaN if no sample lies in this half."""
+    """Return the mean pressure over the second half of each pause [Pa]; NaN if no sample lies in this half."""
     pressure = series["pressure"]
     return [
         float(pressure[each.held].mean()) if each.held.any() else float("nan")

@@ -1,10 +1,10 @@
 """Calibration: find the parameters of a concrete that reproduce measured values, in rounds of simulation runs.
 
 The parameter sets of the first round fill the parameter ranges evenly. In this round, flows of standard tests have wide
-cells (coarse trials), if the scenes accept them. In each further round, most parameter sets are samples of the
-posterior of all runs so far, and the others are proposed by Optuna's tree-structured Parzen estimator.
-Every run has its own random seed, and the scatter between seeds enters the posterior as noise. Finally, verification
-runs simulate the likeliest parameters with fresh seeds.
+cells, if the scenes accept them; such trials are called coarse, and all others full. In each further round, most
+parameter sets are samples of the posterior of all runs so far, and the others are proposed by Optuna's tree-structured
+Parzen estimator. Every run has its own random seed, and the scatter between seeds enters the posterior as noise.
+Finally, verification runs simulate the likeliest parameters with fresh seeds.
 """
 
 import math
@@ -81,20 +81,20 @@ def run_calibration(
 ) -> Calibration:
     """Find the parameters of the scenes in `modules` that reproduce `targets`, a file or a mapping.
 
-    Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
-    for each free parameter); coarse trials, twice `batch`, and verification runs are made in addition. `batch` is the
-    number of sets in one round (default: 4, plus 2 for each free parameter); after coarse trials, a round has half as
-    many. `repeat` is the number of verification runs of the likeliest
-    parameters, each with another seed; if no scene depends on a random seed, the likeliest parameters are simulated
-    once. Raises :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError` if all
-    runs that should yield the value of a target fail.
+    Results go to the new folder `out`. `trials` is the maximum number of parameter sets that are run with full accuracy
+    (default: 10, plus 10 for each free parameter); coarse trials and verification runs do not count. `batch` is the
+    number of parameter sets in one round (default: 4, plus 2 for each free parameter). If the first round is coarse, it
+    has twice as many sets, and each later round has half as many. `repeat` is the number of verification runs of the
+    likeliest parameters, each with another seed; if no scene depends on a random seed, the likeliest parameters are
+    simulated once. Raises :class:`SceneError` for wrong targets, before anything is written, and
+    :class:`WarpcreteError` if too few runs yield the value of a target.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    # Let the user change the file of targets before the calibration is resumed, because the record of the calibration
-    # contains the targets themselves. All other files that were read must stay the same.
+    # The record of the calibration contains the targets themselves, so the user may change the file of targets before
+    # the calibration is resumed. All other files that were read must stay the same.
     files.pop(str(targets.resolve()) if read else "", None)
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
@@ -127,8 +127,7 @@ def resume_calibration(
 ) -> Calibration:
     """Continue a calibration and reuse its finished runs.
 
-    If `trials` is given, it is the new limit for the number of parameter sets, including the sets already run, but
-    not the coarse trials.
+    `trials` is a new maximum for the number of full trials, including those already run; None keeps the earlier one.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     if trials is not None:
@@ -186,7 +185,7 @@ def _continue(
 def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
     """Run rounds of simulations, followed by verification runs of the likeliest parameters.
 
-    The rounds end when the posterior is settled or no trials are left.
+    The rounds end when the posterior no longer changes (:attr:`Calibration.settled`), or when no trials are left.
     """
     settings, rounds = calibration.record["settings"], calibration.record["rounds"]
     most = settings["trials"]
@@ -206,8 +205,8 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
         trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"],
                         "coarse" in each)
                   for k, units in enumerate(each["units"])]  # fmt: skip
-        # Compute the progress of the whole calibration. The total is the number of permitted trials plus the number of
-        # verification runs. If the search needs fewer trials, the verification runs count as the whole remaining work.
+        # Compute the progress of the whole calibration. The total is the maximum number of trials plus the number of
+        # verification runs. If the search ends early, the verification runs count as the whole remaining work.
         coarse = sum(len(found["units"]) for found in rounds if "coarse" in found)
         whole = coarse + most + verification_runs(calibration, modules)
         begun = (len(calibration.trials) - len(calibration.verifying)) / whole
@@ -230,7 +229,7 @@ def run_round(
 ) -> bool:  # fmt: skip
     """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
-    `part` serves the display of progress and holds two fractions of the whole calibration's work: the work done before
+    `part` is needed for the progress bar. It holds two fractions of the whole calibration's work: the work done before
     this round, and the work of this round. Raises :class:`WarpcreteError` if runs were lost because a process died or
     the disk was full.
     """
@@ -242,9 +241,9 @@ def run_round(
             return False
         if study.lost:
             raise WarpcreteError(
-                f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} "
-                "runs were lost for such reasons; run them again with 'warpcrete calibrate --resume "
-                f"{calibration.folder}'"
+                f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} runs "
+                "were lost because a process died or the disk was full; run them again with 'warpcrete calibrate "
+                f"--resume {calibration.folder}'"
             )
         _store_results(study, trials, calibration.task.groups[group])
     return True
@@ -311,20 +310,27 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
 
 
 def _results(calibration: Calibration, trials: Sequence[Trial]) -> tuple[np.ndarray, dict[Target, np.ndarray]]:
-    """Return the points of some trials, shape (n, free), and their values by target, shape (n,), NaN where missing."""
+    """Return the parameters of some trials, and the values that they yielded for each target.
+
+    The parameters, shape (n, free), are scaled to 0 to 1 over their ranges. The values of a target have the shape (n,),
+    with NaN for trials that yielded none.
+    """
     values = {target: np.array([trial.values.get(target, math.nan) for trial in trials])
               for target in calibration.task.targets}  # fmt: skip
     return np.array([trial.units for trial in trials]), values
 
 
 def _doubtful(calibration: Calibration, trials: Sequence[Trial]) -> dict[Target, np.ndarray]:
-    """Return by target which values of some trials come from runs that failed checks, shape (n,)."""
+    """Return for each target an array of shape (n,), which is True for trials whose run failed a check of its scene."""
     targets = calibration.task.targets
     return {target: np.array([target in trial.doubtful for trial in trials], dtype=bool) for target in targets}
 
 
 def _learn_from_coarse_trials(calibration: Calibration, seed: int) -> None:
-    """Compute the posterior that proposes the first full trials, if enough coarse trials have yielded every target."""
+    """Compute the posterior of the coarse trials, from which the parameters of the first full trials are proposed.
+
+    Without at least `MIN_VALUES` values of every fitted target, no posterior is computed.
+    """
     points, values = _results(calibration, calibration.coarse)
     if all(np.isfinite(values[target]).sum() >= MIN_VALUES for target in calibration.task.fitted):
         calibration.coarse_posterior = posterior(calibration.task, points, values, seed, model_error=COARSE_ERROR)
@@ -341,7 +347,8 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
     points, values = _results(calibration, searched)
     for target in calibration.task.fitted:
         count = int(np.isfinite(values[target]).sum())
-        why = next((trial.failure for trial in searched if trial.failure), "the scene does not measure it there")
+        failures = (trial.failure for trial in searched if trial.failure and target not in trial.values)
+        why = next(failures, "the scene does not measure it there")
         if count == 0 and calibration.coarse and len(searched) < calibration.record["settings"]["trials"]:
             return
         if count == 0:

@@ -24,16 +24,15 @@ class Trial:
 
     number: int
     units: list[float]
-    """Point of the unit cube that stands for the parameter set: for each free parameter its position in the parameter's
-    range, from 0 to 1."""
+    """Values of the free parameters, each scaled to 0 to 1 over its range."""
     seed: int
     proof: bool = False
-    """True if this run only verifies the likeliest parameters, so that its results do not enter the fit."""
+    """True if this trial only verifies the likeliest parameters; its results are not used in the fit."""
     coarse: bool = False
-    """True if the flows of this trial were simulated with wide cells."""
+    """True if the flows of this trial were simulated with wider cells than usual, to save time."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
-    """Reason why this trial lacks the value of a target that is used in the fit. Empty if no such value is missing."""
+    """Reason why this trial yielded no value for a fitted target; empty if it yielded all of them."""
     suspect: list[str] = field(default_factory=list)
     """Names of the failed plausibility checks of the trial's runs."""
     doubtful: set[Target] = field(default_factory=set[Target])
@@ -50,7 +49,8 @@ class Calibration:
     trials: list[Trial] = field(default_factory=list)
     posterior: Posterior | None = None
     coarsened: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Any])
-    """Parameters that are changed in coarse trials, by the key of the group of targets; empty without such trials."""
+    """Parameters that are changed in coarse trials, by the key of each group of targets (:attr:`.Target.key`); empty if
+    there are no coarse trials."""
     coarse_posterior: Posterior | None = None
     """Posterior computed from coarse trials alone; it only proposes the parameters of the first full trials."""
     settled: bool = False
@@ -77,7 +77,7 @@ class Calibration:
 
     @property
     def searched(self) -> list[Trial]:
-        """Trials that search for the parameters; coarse trials and the runs that verify the answer are left out."""
+        """Full trials that are used in the fit, without coarse trials and verification runs."""
         return [trial for trial in self.trials if not (trial.proof or trial.coarse)]
 
     @property
@@ -104,10 +104,11 @@ class Calibration:
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Return the best value minus the measured value, divided by the target's standard deviation (NaN if unknown).
+        """Return the deviation of the calibrated model from a target, in standard deviations of the target.
 
-        The best value is the mean of the verification runs, or without such runs the prediction for the likeliest
-        parameters.
+        The deviation is the simulated minus the measured value. The simulated value is the mean of the verification
+        runs; without such runs, the emulator's prediction for the likeliest parameters takes its place. The result is
+        NaN if neither is known.
         """
         assert self.posterior is not None
         runs = self.verification_values(target)

@@ -1,4 +1,4 @@
-"""Coarse runs of a calibration: simulations with wide cells, which teach the emulator at a small part of the cost."""
+"""Coarse runs of a calibration: simulations with wide cells, which train the emulators at a small part of the cost."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,11 +17,14 @@ concretes apart: with 2.7 times the default width, slump tests with spreads of 5
 
 
 def coarse_changes(task: Task, modules: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the changed parameters of the coarse runs, by the key of each group of targets that has coarse runs.
+    """Return the parameters that are changed in coarse runs, by the key of each group of targets that has coarse runs.
 
     Only standard tests that are simulated as flows on a grid have coarse runs, because other scenes of a calibration
-    take seconds, or have no cells. Flows with aggregates have none, because wider cells would change the aggregates. A
-    group that varies the cell width, that has wide cells already, or whose scene refuses wider cells has none either.
+    take only seconds, or have no cells. A group of targets has no coarse runs in the following cases:
+
+    - The flow contains aggregates, which wider cells would change.
+    - The cell width is a free parameter, or the cells are already wide.
+    - The scene refuses wider cells.
     """
     found = {}
     for target, *_ in task.groups:

@@ -39,9 +39,9 @@ class Emulator:
     ) -> None:  # fmt: skip
         """Fit a Gaussian process to `values`, shape (n,), at `points` with coordinates from 0 to 1, shape (n, free).
 
-        The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
-        compared with `least` are therefore treated as negligible. `extra` is the standard deviation of an error that
-        the values have in addition to the scatter between seeds, shape (n,) or a number.
+        The values are divided by their standard deviation, or by `least` if `least` is larger. Differences between the
+        values that are small compared with `least` are therefore negligible. `extra` is the standard deviation of an
+        error that the values have in addition to the scatter between seeds, shape (n,) or a number.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -75,18 +75,19 @@ class Emulator:
 
 
 class TwoLevelEmulator:
-    """Emulator of a quantity that coarse runs measure as well: their emulator, plus an emulator of the difference.
+    """Emulator that is trained on coarse and on full runs.
 
-    The method is that of Kennedy & O'Hagan (Biometrika 87 (2000) 1), with the factor 1 between the two levels. The
-    difference of full and coarse runs is small and smooth, so few full runs determine it.
+    The prediction is the sum of an emulator of the coarse runs and an emulator of the difference between full and
+    coarse runs. The difference is small and smooth, so few full runs determine it. This is the method of Kennedy &
+    O'Hagan (Biometrika 87 (2000) 1) with a factor of 1 between the two levels.
     """
 
     def __init__(
         self, coarse: Emulator, points: np.ndarray, values: np.ndarray, least: float, extra: np.ndarray
     ) -> None:
-        """Fit the difference between the `values` of full runs and the predictions of the emulator `coarse`.
+        """Fit an emulator to the difference between the results of full runs and the predictions of `coarse`.
 
-        The other parameters are those of :class:`Emulator`.
+        `points`, `values`, `least` and `extra` describe the full runs, as in :class:`Emulator`.
         """
         self.coarse = coarse
         self.difference = Emulator(points, values - coarse(points)[0], least, extra)
@@ -140,9 +141,10 @@ class Posterior:
         return float(mean.min()), float(mean.max())
 
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
-        """Return the central interval of a free parameter that holds the fraction `part` of the posterior samples.
+        """Return the central interval that holds the fraction `part` of a parameter's posterior samples.
 
-        The interval is extended to the likeliest value if this value lies outside.
+        `place` is the index of the free parameter. The interval is extended to the likeliest value if this value lies
+        outside.
         """
         edge = 50 * (1 - part)
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])
@@ -151,7 +153,10 @@ class Posterior:
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
     def relative_width(self, place: int) -> float:
-        """Return a parameter's standard deviation in the posterior, divided by the one of its uniform prior."""
+        """Return a parameter's standard deviation in the posterior, divided by the standard deviation of its prior.
+
+        The prior is uniform over the parameter's range, and `place` is the index of the parameter.
+        """
         return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
@@ -170,7 +175,8 @@ class CoarseRuns:
     doubtful: Mapping[Target, np.ndarray]
     """True for values from runs that failed checks, by target, shape (n,)."""
     coarsened: Collection[Target]
-    """Targets whose scene had wider cells in these runs. For all other targets, these runs equal full runs."""
+    """Targets whose scene had wider cells in these runs. For all other targets, these runs are as accurate as full
+    runs."""
 
 
 def posterior(
@@ -181,10 +187,10 @@ def posterior(
 
     The coordinates of a point are the free parameters, each scaled to 0 to 1 over its range. `values` holds the results
     of these runs for each target, shape (n,), with NaN for failed runs. Every fitted target needs at least three finite
-    values. `seed` makes the sampling reproducible. `doubtful` states by target which values come from runs that failed
-    checks, shape (n,). The standard deviation of these values is at least the uncertainty of the target. The results of
-    `coarse` runs, if there are any, help to predict those of full runs. `model_error` is the standard deviation of a
-    further error of all predictions, as a fraction of the measured value.
+    values. `seed` makes the sampling reproducible. `doubtful` holds for each target an array of shape (n,), which is
+    True for values from runs that failed checks. Such values get a further error, whose standard deviation is the
+    uncertainty of the target. The results of `coarse` runs, if there are any, also train the emulators. `model_error`
+    is the standard deviation of an error of the simulation model itself, as a fraction of the measured value.
     """
     import emcee
     from scipy.optimize import minimize
@@ -234,9 +240,9 @@ def posterior(
 def _emulator(
     target: Target, points: np.ndarray, values: np.ndarray, extra: np.ndarray, coarse: CoarseRuns | None
 ) -> Emulator | TwoLevelEmulator:
-    """Return the emulator of a target's quantity, which learns from coarse runs as well, if there are any.
+    """Return the emulator of a target's quantity, trained on full runs and, if there are any, on coarse runs.
 
-    `points`, `values` and `extra` are those of :class:`Emulator`, for the full runs.
+    `points`, `values` and `extra` describe the full runs, as in :class:`Emulator`.
     """
     least = 1e-3 * target.uncertainty
     if coarse is None:
@@ -247,7 +253,7 @@ def _emulator(
         together = np.concatenate([extra, target.uncertainty * coarse.doubtful[target][there]])
         return Emulator(np.concatenate([points, others]), np.concatenate([values, found]), least, together)
     if len(found) < 3 or len(values) >= len(found):
-        # With as many full runs as coarse ones, the coarse runs would only add their error.
+        # Ignore the coarse runs if they are too few, or if there are as many full runs, which are more accurate.
         return Emulator(points, values, least, extra)
     return TwoLevelEmulator(Emulator(others, found, least), points, values, least, extra)
 

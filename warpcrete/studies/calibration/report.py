@@ -48,7 +48,7 @@ def parameter_table(found: Calibration) -> list[str]:
     """Return a Markdown table with the likeliest value and the 95 % interval of each free parameter."""
     assert found.posterior is not None
     lines = [
-        "| parameter | range | most likely | 95 % of the posterior | relative to the range's |",
+        "| parameter | range | most likely | 95 % of the posterior | width relative to the range |",
         "|---|---|---|---|---|",
     ]
     for place, free in enumerate(found.task.free):
@@ -120,9 +120,10 @@ def answer(found: Calibration) -> dict[str, Any]:
 
 
 def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the contents of the calibrated concrete's file: the property values that all scenes of the task share.
+    """Return the contents of a file of the calibrated concrete.
 
-    The result is empty if no free parameter is a property of the concrete.
+    The file states those properties that have the same value in all scenes of the calibration. The result is empty if
+    no free parameter is a property of the concrete.
     """
     sections: dict[str, dict[str, Any]] = {}
     names: set[Any] = set()
@@ -150,9 +151,9 @@ def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any
 
 
 def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
-    """Return a Matplotlib figure of the posterior: histograms on the diagonal, pairs of parameters below it.
+    """Return a Matplotlib figure of the posterior, with the trials as points.
 
-    The trials are drawn as points.
+    The panels on the diagonal show the histogram of each parameter, and the panels below show pairs of parameters.
     """
     assert found.posterior is not None
     task, free = found.task, len(found.task.free)
@@ -161,7 +162,7 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
     titles = [_title(known[each.name]) for each in task.free]
     samples = np.array([[f.value(u) for f, u in zip(task.free, row)] for row in found.posterior.samples])
     trials = np.array([[f.value(u) for f, u in zip(task.free, trial.units)] for trial in found.searched])
-    turned = 0 if free < 3 else 90  # Numbers below narrow panels stand upright, because they would overlap.
+    turned = 0 if free < 3 else 90  # The numbers below narrow panels are turned by 90 degrees to avoid overlaps.
     figure = new_figure("posterior of the parameters: dark where values are likely", WIDTH)
     axes = figure.subplots(free, free, squeeze=False)
     for row in range(free):

@@ -15,7 +15,10 @@ MIN_VALUES = 3
 
 
 def verification_runs(calibration: Calibration, modules: Mapping[str, Any]) -> int:
-    """Return how often the likeliest parameters are simulated: at most once if no scene depends on a random seed."""
+    """Return the number of verification runs of the likeliest parameters.
+
+    The number is the setting `repeat`, but at most 1 if no scene depends on a random seed.
+    """
     task, repeat = calibration.task, calibration.record["settings"]["repeat"]
     values = task.values([0.5] * len(task.free))
     for target, *_ in task.groups:
@@ -28,11 +31,14 @@ def verification_runs(calibration: Calibration, modules: Mapping[str, Any]) -> i
 def next_round(
     calibration: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """Return the next round as a mapping, or None if no round is left.
+    """Return the next round, or None if the calibration needs no further round.
 
-    Its entry `units` holds the parameter sets, each parameter scaled to 0 to 1 over its range, and `seeds` one seed for
-    each set. `proof` is True if the round verifies the likeliest parameters. A coarse round also has the entry
-    `coarse`, the changed parameters of each group of targets. `left` is the number of trials that may still run.
+    `left` is the number of full trials that are still allowed. The round is a dictionary with these entries:
+
+    - `units`: the parameter sets, with each parameter scaled to 0 to 1 over its range,
+    - `seeds`: one random seed for each parameter set,
+    - `proof`: True if the round verifies the likeliest parameters,
+    - `coarse`: the changed parameters of each group of targets; only in a coarse round.
     """
     begun = settings["seed"] + len(calibration.trials)
     if calibration.posterior is not None and (calibration.settled or left <= 0):
@@ -52,7 +58,7 @@ def next_round(
         count = min(max(count, 2 * count - len(calibration.trials)), left)
         units = _first_points(calibration, count, settings, modules)
     else:
-        # After coarse trials, few full ones are needed at a time, because the coarse ones have taught the emulator.
+        # After a coarse round, the emulator is already trained, so small rounds of full trials suffice.
         count = max(batch // 2, MIN_VALUES + 1) if calibration.coarse else batch
         units = _next_points(calibration, min(count, left), begun)
     return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": False} | coarse

@@ -1,4 +1,4 @@
-"""Initial parameters of a calibration, whose closed-form predictions are closest to the targets."""
+"""First parameter set of a calibration: the one whose closed-form predictions are closest to the targets."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,9 @@ closed form of a funnel takes a quarter of a second."""
 def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float]]:
     """Return a list with the best starting point for a calibration, or an empty list if no target has a closed form.
 
-    The coordinates of the point are the free parameters, each scaled from its range to the range from 0 to 1. Among
-    `START_CANDIDATES` points, the best one is the point whose closed-form predictions fit the targets best.
+    The coordinates of the point are the free parameters, each scaled to 0 to 1 over its range. The closed forms of all
+    targets are computed at `START_CANDIDATES` points, and the point with the smallest sum of squared deviations from
+    the targets is chosen.
     """
     from scipy.stats import qmc
 
@@ -35,21 +36,24 @@ def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float
 def closed_forms(task: Task, point: Any, modules: Mapping[str, Any]) -> dict[Target, float]:
     """Return the closed-form predictions at a point, by target; targets without a closed form are left out.
 
-    The coordinates of the point are the free parameters, each scaled from its range to 0 to 1.
+    The coordinates of the point are the free parameters, each scaled to 0 to 1 over its range.
     """
     return _closed_forms(task, task.targets, point, modules)
 
 
 def _misfit(known: Sequence[Target], predictions: Mapping[Target, float]) -> float:
-    """Return the sum of squared deviations from the `known` targets; infinite if one of them has no prediction."""
+    """Return the sum of the squared deviations of the predictions from the targets, in standard deviations.
+
+    `known` holds the targets that have a closed form. The result is infinite if one of them has no prediction.
+    """
     return sum(((predictions.get(target, math.inf) - target.value) / target.uncertainty) ** 2 for target in known)
 
 
 def _closed_forms(task: Task, targets: Sequence[Target], point: Any, modules: Mapping[str, Any]) -> dict[Target, float]:
     """Return the closed-form predictions of some `targets` at a `point` in the ranges of the free parameters.
 
-    Targets that have no closed form, or whose parameters are impossible at this point, are left out. Targets whose
-    quantities come from the same run share a scene, because a closed form returns all quantities of a scene at once.
+    Targets that have no closed form, or whose parameters are impossible at this point, are left out. The closed form of
+    a scene gives all its quantities at once, so it is computed only once for all targets of the same scene.
     """
     expected: dict[str, Mapping[str, float]] = {}
     found: dict[Target, float] = {}

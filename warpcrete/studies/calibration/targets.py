@@ -119,11 +119,14 @@ class Task:
         return [target for target in self.targets if not target.held_out]
 
     def values(self, units: Sequence[float]) -> dict[str, float]:
-        """Return the values of the free parameters, by name, from their positions in their ranges (0 to 1)."""
+        """Return the values of the free parameters, by name.
+
+        `units` holds the same values, each scaled to 0 to 1 over its range.
+        """
         return {free.name: free.value(float(unit)) for free, unit in zip(self.free, units)}
 
     def places(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the positions of values of the free parameters in their ranges (0 to 1), shape (free,)."""
+        """Return the values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
         return np.array([free.place(values[free.name]) for free in self.free])
 
     def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
@@ -210,13 +213,14 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
             refuse(called, key, "is not a key of a target", known_names(key, TARGET_KEYS))
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
-        refuse(called, dict(given), f"has no {', '.join(missing)}", "add what is missing")
+        refuse(called, dict(given), f"has no {', '.join(missing)}", "add the missing entries")
     if not isinstance(given["scene"], str) or given["scene"] not in modules:
         problem = f"must be one of {', '.join(modules)}"
         refuse(f"{called} scene", given["scene"], problem, suggested(given["scene"], modules))
     value = _in_unit(f"{called} value", given["value"], str(given["quantity"]))
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        refuse(f"{called} value", value, "must be a finite number, in SI units or with its unit")
+        problem = "must be a finite number, in SI units or with its unit"
+        refuse(f"{called} value", value, problem, "for example 0.55 or '550 mm'")
     parameters = given.get("parameters") or {}
     if not isinstance(parameters, Mapping):
         refuse(
@@ -274,7 +278,7 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
         refuse("vary", name, f"is not a parameter of {', '.join(scenes)}", hint)
     if {field.kind for field in fields} - {int, float} or name == "seed":
         problem = "cannot be varied, because only numeric parameters other than the seed can"
-        refuse("vary", name, problem, "leave out this parameter")
+        refuse("vary", name, problem, f"leave out {name!r} under 'vary'")
     return next((field for field in fields if field.kind is int), fields[0])
 
 
@@ -311,7 +315,7 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
 
 
 def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
-    """Return a copy of the target that includes its unit, after checking that its scene measures the quantity.
+    """Check a target against its scene, and return a copy of the target that includes the unit of the quantity.
 
     Raises :class:`SceneError` if the scene does not measure the quantity, or if the scene refuses a value at one end of
     a free parameter's range.

@@ -57,10 +57,10 @@ class Measurement:
     """Measurement of the properties of the concrete that belong to one cause of uncertainty."""
 
     advice: str
-    """Advice to the user to make this measurement."""
+    """Sentence that tells the user how to measure."""
     factors: tuple[float, float]
-    """Lower and upper end of the uncertainty band that remains after the measurement, each divided by the measured
-    value."""
+    """Ends of the uncertainty band that a measured property still has, each divided by the measured value: a number
+    below 1 and a number above 1."""
 
 
 MEASUREMENTS = {
@@ -131,16 +131,18 @@ of oil. The sentence is printed for lines with a pump."""
 
 @dataclass(frozen=True)
 class FastGrowth:
-    """Restart of a line for a growth rate of the yield stress above the range that its uncertainty band assumes."""
+    """Restart of a line if the yield stress grows faster than the line's uncertainty band assumes."""
 
     growth: float
     """Growth rate of the yield stress at rest [Pa/s]."""
     high: float
     """Upper end of the band of the pressure that restarts the line at full flow after the present stop [Pa]."""
     longest: float | None
-    """Longest stop [s] after which the pump restarts the line at this rate, as :attr:`RestartMargin.longest`."""
+    """Longest stop [s] after which the pump still restarts the line if the yield stress grows at the rate `growth`.
+    The value is None if the pump cannot restart the line even after a short stop."""
     bearable: float
-    """Largest growth rate at which the pump restarts the line after the present stop [Pa/s], `growth` at most."""
+    """Largest growth rate [Pa/s] at which the pump still restarts the line after the present stop. Rates above `growth`
+    are not considered."""
 
     def record(self) -> dict[str, Any]:
         """Return this restart as an entry of the file line.json."""
@@ -162,9 +164,9 @@ class RestartMargin:
     begins: Band
     """Pressure at which the concrete begins to move [Pa], with its uncertainty band."""
     longest: float | None
-    """Longest stop [s] after which the pump restarts the line even at the upper end of the uncertainty band, at most
-    the longest stop that is considered. The value is None if the pump cannot restart the line even after a short stop.
-    """
+    """Longest stop [s] after which the pump restarts the line even at the upper end of the uncertainty band. Stops
+    above `LONGEST_STOP` are not considered. The value is None if the pump cannot restart the line even after a short
+    stop."""
     fast: FastGrowth | None = None
     """Restart at the highest published growth rate of the yield stress; None if the user stated the rate."""
     customary: bool = False

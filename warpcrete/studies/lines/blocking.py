@@ -1,7 +1,8 @@
 """Probability that the narrowest part of a pump line is blocked, from one discrete element run for each of many seeds.
 
-Each seed packs the stones differently. On a GPU all runs form one batch, on a CPU each process runs one at a time. The
-runs are a study in the line's folder, so an interrupted command continues with the seeds that are missing.
+Each seed packs the stones differently. On a GPU, all runs form one batch. On a CPU, they are distributed over several
+processes. The runs are stored as a study in the line's folder, so an interrupted command continues with the missing
+seeds.
 """
 
 import math
@@ -61,7 +62,7 @@ class BlockingProbability:
     failed: int
     """Number of runs that ended with an error; they do not count in the probability of a blockage."""
     short: int
-    """Number of runs that were not blocked, but at whose end part of the concrete stood still."""
+    """Number of runs that do not count as blocked although part of the concrete stood still at their end."""
     stones: int
     """Number of stones in the first simulation. The other simulations have other random packings."""
     stone: float
@@ -130,9 +131,9 @@ def run_blocking(
 ) -> BlockingProbability:
     """Simulate the narrowest part of a line with `count` seeds at a `flow` [m3/s], and count the blocked runs.
 
-    The runs are stored in the folder `out` of the line, where an interrupted study continues. Stones keep their size
-    unless `elements` states a factor by which they are enlarged. Raises :class:`SceneError` for settings that cannot be
-    simulated, and `KeyboardInterrupt` if the study was interrupted.
+    The runs are stored in `out`, the folder of the line. If this folder contains an interrupted study, it continues.
+    Stones keep their size unless `elements` states a factor by which they are enlarged. Raises :class:`SceneError` for
+    settings that cannot be simulated, and `KeyboardInterrupt` if the study was interrupted.
     """
     between("blocking", count, 1, MAX_SEEDS)
     elements = elements or Elements()

@@ -33,7 +33,7 @@ class WallLaw:
     slope: float
     """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
     measured: float
-    """Largest pressure among the measurements to which this law of wall friction was fitted [Pa]."""
+    """Largest pressure at which the wall stress was measured for the fit of this law [Pa]."""
     largest: float
     """Pressure above which the wall stress is assumed constant [Pa]. At such pressures the overlaps of the elements are
     so large that the linear law is not valid."""
@@ -125,7 +125,7 @@ class ElementLine:
     elapsed: float = 0.0
     """Wall time in which all new simulations together were packed and run [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Plausibility checks that simulations failed, with what they found; the keys are the names of the run folders."""
+    """Failed plausibility checks with the values that they found, by the name of the run folder."""
 
     def __repr__(self) -> str:
         return f"<ElementLine of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -145,11 +145,11 @@ class ElementLine:
         return np.mean([[friction for friction, _ in each.course(self.line)] for each in self.packed], axis=0)
 
     def weights(self) -> np.ndarray:
-        """Return the pressure due to the concrete's weight in each part [Pa], a mean over the seeds, shape (parts,)."""
+        """Return the pressure loss of each part due to weight, averaged over the seeds [Pa], shape (parts,)."""
         return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
 
     def blocked(self) -> list[int]:
-        """Return for each part of the line the number of seeds with which its simulation was blocked."""
+        """Return, for each part of the line, the number of seeds for which the simulation of the part was blocked."""
         return [sum(each.is_blocked(part) for each in self.packed) for part in self.line.parts]
 
     def record(self) -> dict[str, Any]:
@@ -176,10 +176,10 @@ class ElementLine:
 
 
 def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
-    """Return a headline and a table of the parts of a pump line, as lines of Markdown.
+    """Return the results of the discrete element simulations of a pump line as lines of Markdown.
 
-    `others` maps the name of each other method, such as the closed form, to the friction [Pa] that it predicts for each
-    part. The table has one column for each of these methods.
+    A table shows the friction of each part, with a further column for each of the `others`. This mapping holds, by the
+    name of another method such as "theory", the friction [Pa] that this method predicts for each part.
     """
     low, high = min(found.pressures), max(found.pressures)
     us = found.line.customary

@@ -58,6 +58,8 @@ law is not valid for the large overlaps of elements at such pressures."""
 MIN_FLUX_RATIO = 0.8
 """Outflow of elements from a part, divided by the inflow into this part, below which a remark warns the user that the
 concrete is still being compressed."""
+TOO_SHORT = "is too short to measure its pressure loss: elements fill too few of the slices in which it is measured"
+"""Error message for a part whose simulation gives no pressure loss."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
@@ -66,17 +68,15 @@ class Elements:
     """Settings for simulating the parts of a line by discrete elements."""
 
     shapes: str = "spheres"
-    """Shapes of the discrete elements, in the words of the parameter `shapes` of the scene part-dem."""
+    """Shapes of the discrete elements, with the same names as in the parameter `shapes` of the scene part-dem."""
     coarse: float | None = None
-    """Factor by which all stone sizes are multiplied. With None, all stones are enlarged until the largest one is 0.3
-    times as wide as the narrowest bore. If the largest stone is wider than this already, the stones keep their sizes.
-    """
+    """Factor by which all stone sizes are multiplied. If the value is None, the factor is chosen so that the largest
+    stone is 0.3 times as wide as the narrowest bore; stones that are already that large keep their sizes."""
     seeds: int = 1
-    """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
-    results gives the range of the pressure."""
+    """Number of simulations of each kind of part. Each simulation has another random packing of the stones, and the
+    scatter of the results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
-    """Factor on the elastic modulus of the elements. The simulations use the modulus that the concrete states,
-    multiplied by this factor."""
+    """Factor by which the elastic modulus of the concrete's elements is multiplied in the simulations."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)
@@ -99,9 +99,10 @@ def run_elements(
 ) -> ElementLine:
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` by discrete elements.
 
-    `concrete` is a name or a file. Each kind of part is simulated without weight, and on a GPU all parts run together.
-    The runs are stored in `out`, where interrupted runs continue. Finished runs in `known`, the folder of an earlier
-    line, are reused. Raises :class:`SceneError` for impossible settings, and the error of the first run that failed.
+    `concrete` is a name or a file. Each kind of part is simulated without gravity; on a GPU, all simulations run at the
+    same time. The runs are stored in the folder `out`, and interrupted runs in this folder continue. Finished runs in
+    `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for impossible settings, and the
+    error of the first run that failed.
     """
     elements = elements or Elements()
     check_known(known)
@@ -139,11 +140,11 @@ def run_elements(
 
 
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
-    """Yield each kind of part that needs a simulation, as its key and an example part.
+    """Yield each kind of part that needs a simulation, as a pair of a key and one part of this kind.
 
-    Straight pipe is simulated twice at every diameter of the line. In the second simulation, a movable plug at the
-    outlet presses against the concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no
-    simulation of their own.
+    Straight pipe is simulated twice for every diameter that occurs in the line. In the second simulation, a movable
+    plug at the outlet presses against the concrete (:data:`PRESSED_RUN`). A part whose friction the line's file states
+    is not simulated.
     """
     for part in line.parts:
         if not part.is_by_length and part.factor is None:
@@ -184,10 +185,10 @@ def part_parameters(
 
 
 def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
-    """Return the parameters for the scene of a line's part, with scaled stone sizes and a scaled elastic modulus.
+    """Multiply the stone sizes and the elastic modulus in a scene's parameters by factors, and return the parameters.
 
-    `own` holds the parameters before scaling, `narrowest` is the narrowest bore of the pump line [m], and `elements`
-    states the factors.
+    `own` holds the parameters of the scene of a line's part, and `narrowest` is the narrowest bore of the pump line
+    [m]. The factors are :attr:`Elements.coarse` and :attr:`Elements.stiffer`.
     """
     given = modules()[SCENE].scene.declared(dict(own))
     whole = {**own, "modulus": elements.stiffer * given.modulus}
@@ -248,22 +249,12 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
         if part.is_by_length:
             columns = run.tables["stations"].columns
             if np.count_nonzero(np.isfinite(columns["axial_stress"])) < 3:
-                refuse(
-                    "part",
-                    part.label,
-                    "is too short to measure its pressure loss, because too few slices are full of "
-                    "aggregates; make the part longer",
-                )
+                refuse("part", part.label, TOO_SHORT, "make the part longer")
             tables.setdefault(part.diameter, []).append(columns)
             densities.append(float(np.nanmean(columns["bulk_density"])))
             largest = CONSTANT_FRICTION_RATIO * run.scene.parameters["modulus"]
         elif "middle_ratio" not in run.result:
-            refuse(
-                "part",
-                part.label,
-                "is too short to measure its pressure loss, because too few slices are full of "
-                "aggregates; make the part longer",
-            )
+            refuse("part", part.label, TOO_SHORT, "make the part longer")
         else:
             ratios[key] = number(run.result["middle_ratio"])
     laws = {}

@@ -55,8 +55,7 @@ def draw(result: LinePressures) -> Any:
         if not x.part.is_by_length or x.part.kind == "hose":
             name = x.part.kind
             first = name not in axes.get_legend_handles_labels()[1]
-            # A bend is short beside a line of hundreds of metres. Give the stripe that marks it a width that remains
-            # visible.
+            # A bend is short compared with the line, so draw the stripe that marks it with a visible minimum width.
             middle = (begin + 0.5 * x.part.length) / metre
             half = 0.5 * max(x.part.length / metre, MIN_STRIPE * places[-1])
             axes.axvspan(middle - half, middle + half, color=rgb(BEND if name == "bend" else NOT_STRAIGHT), linewidth=0,
@@ -90,7 +89,8 @@ def draw(result: LinePressures) -> Any:
 def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> None:
     """Draw the largest pressure of the pump and the pressure of a restart at full flow, in units of `size` [Pa].
 
-    The restart is drawn at the horizontal position `place`, beside the vertical axis, which would hide it.
+    The restart is drawn at the horizontal position `place`, a little to the right of the vertical axis, which would
+    otherwise hide it.
     """
     if result.line.pump is not None:
         axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", label="pump")
@@ -103,7 +103,7 @@ def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> N
 
 
 def _taps(result: LinePressures) -> tuple[list[Tap], list[Tap]]:
-    """Return the taps whose gauges were read at the flow of the line, within 2 %, and those read at other flows."""
+    """Split the readings of gauges into those at the flow of the line (within 2 %) and those at other flows."""
     assert result.fit is not None
     taps = result.fit.taps
     at_flow = [tap for tap in taps if abs(tap.flow - result.flow) <= 0.02 * result.flow]

@@ -1,6 +1,7 @@
 """Fit of the slip layer and of the friction factor of bends to pressures measured along a trial line.
 
-The pressures were measured at several places, at one or more flows.
+The pressures were measured at several places (taps), at one or more flows. The factor of bends is the friction of a
+bend, divided by the friction of straight pipe of the same length.
 """
 
 import math
@@ -69,28 +70,27 @@ def fit_line(
     """Fit the slip layer and the factor of bends to pressures along a pump line, by least squares.
 
     All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
-    It also supplies the fitted constants that the pressures do not determine:
+    A constant that the pressures do not determine is left out of the fit:
 
-    - The yield stress of the layer, if all pressures were measured at a single flow, or if there are only two
-      pressures. Such pressures do not distinguish the yield stress from the layer's viscosity. The yield stress is also
-      kept if its error would exceed half the range of :func:`.known_yields`, because the flows hardly differ or the
-      pressures scatter.
-    - The factor of bends, if its band is as wide as the band of published measurements, or if the points are too few.
-      The factor is then left out of the fit, and each bend keeps its factor from the table of simulated bends.
+    - The yield stress of the layer keeps its value in `concrete` if all pressures were measured at a single flow, or if
+      there are only two pressures, because these do not distinguish it from the layer's viscosity. It also keeps its
+      value if its error would exceed half the range of :func:`.known_yields`.
+    - The factor of bends is not fitted if the points are too few, or if its band would be as wide as the band of
+      published measurements. Each bend then keeps its factor from the table of simulated bends.
 
-    `prior` holds two concretes, whose slip layers are at the lower and at the upper end of the uncertainty band from
-    before the measurement. :func:`.with_known` combines this earlier knowledge with the fit. If no slip layer explains
-    all gauges, the band is widened until it contains them (:func:`.with_gauges`).
+    `prior` describes the slip layer that was expected before the measurement: two concretes, whose layers are at the
+    lower and at the upper end of the layer's uncertainty band. :func:`.with_known` combines it with the fit. If no slip
+    layer explains all gauges, the band is widened until it contains their readings (:func:`.with_gauges`).
 
-    `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge share
-    this error. The scatter of the readings is a further error (:func:`_squares`). If `gauge` is 0, all deviations from
-    the fit count as scatter.
+    `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge have the
+    same error, and each reading has a further error, which follows from the scatter (:func:`_squares`). If `gauge` is
+    0, all deviations from the fit count as scatter.
 
     `yields` is the range of the layer's yield stress that the mix states [Pa]. The band at other flows follows from the
     error of the fitted yield stress, or from this range if the yield stress was not fitted (:func:`.with_yields`).
 
-    Points with the same place, flow and pressure count once, because a repeated row makes the band narrower without a
-    further measurement.
+    Points with the same place, flow and pressure count once, because a row that occurs twice in the file is not a
+    second measurement.
 
     Raises :class:`SceneError` for too few measured points or an impossible result.
     """
@@ -104,8 +104,8 @@ def fit_line(
     low, high = known_yields(concrete)
     fit, widest = None, 0.5 * (high - low)
     if any(is_free(part) for part in line.parts):
-        # Errors of the gauges may lead to an impossible factor of bends, which raises an error. Ignore this error,
-        # because the fit below, without this factor, may still be possible.
+        # Errors of the gauges may lead to an impossible factor of bends, which raises an error. Ignore this error, and
+        # fit without this factor below.
         with suppress(SceneError):
             fit = _fitted(line, concrete, taps, True, gauge, widest)
     if fit is None or not _is_better_than_published(fit.constants[2]):
@@ -145,10 +145,10 @@ def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) ->
 def _fitted(
     line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: bool, gauge: float, widest: float
 ) -> LineFit:
-    """Return the fit of those constants that the measured pressures determine.
+    """Return a fit of the constants that the measured pressures determine.
 
-    The friction factor of bends is among them only if `factor` is True, and the yield stress of the slip layer only if
-    its error is at most `widest` [Pa].
+    The friction factor of bends is fitted only if `factor` is True, and the yield stress of the slip layer only if its
+    error is at most `widest` [Pa].
     """
     model = TapModel(line, concrete, taps, bends=factor)
     measured = np.array([tap.pressure for tap in taps])
@@ -211,16 +211,16 @@ def _fitted(
 
 
 def _squares(off: np.ndarray, slopes: np.ndarray, taps: Sequence[Tap], gauge: float) -> np.ndarray:
-    """Return the covariance matrix of measured pressures [Pa2], with 95 % error limits as standard deviations.
+    """Return the covariance matrix of the errors of measured pressures [Pa2], shape (taps, taps).
 
-    The matrix has the shape (taps, taps), with one row for each measured pressure. `off` holds the deviations of the
-    pressures from the fit [Pa], and `slopes` the derivatives of the pressures with respect to the fitted constants,
-    shape (taps, constants).
+    The entries contain 95 % error limits in place of standard deviations, so that the fitted constants also get 95 %
+    limits. `off` holds the deviations of the pressures from the fit [Pa], shape (taps,), and `slopes` the derivatives
+    of the pressures with respect to the fitted constants, shape (taps, constants).
 
-    The error `gauge` [Pa] is common to all pressures at one place. A further error of each reading is independent. It
-    follows from the scatter of the pressures about a fit in which each gauge has an error of its own, so that the
-    common errors do not count twice. The assumed scatter of readings counts as :data:`ASSUMED_READINGS` further
-    readings.
+    There are two errors. The error `gauge` [Pa] is the same for all readings at one place. The second error is
+    independent for each reading. It follows from the scatter of the readings about a fit in which the error of each
+    gauge is fitted as well, so that the first error does not count twice. The assumed scatter :data:`READING` counts as
+    :data:`ASSUMED_READINGS` additional readings.
     """
     places = np.array([tap.place for tap in taps])
     same = (places[:, None] == places).astype(float)
@@ -233,16 +233,21 @@ def _squares(off: np.ndarray, slopes: np.ndarray, taps: Sequence[Tap], gauge: fl
 
 
 def _covariance(slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Return the covariance matrix of fitted constants, from the sensitivities and the covariances of the pressures."""
+    """Return the covariance matrix of the fitted constants, shape (constants, constants).
+
+    `slopes` holds the derivatives of the pressures with respect to the constants, shape (taps, constants), and
+    `squares` the covariance matrix of the pressures [Pa2], shape (taps, taps).
+    """
     inverse = np.linalg.pinv(slopes)
     return inverse @ squares @ inverse.T
 
 
 def _yield_error(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int], gauge: float) -> float:
-    """Return the error that the yield stress of the slip layer would have if it is fitted with the constants `free`.
+    """Return the 95 % error limit [Pa] that the yield stress of the slip layer would have after a fit.
 
-    The error is the 95 % limit [Pa]. The model is linearised about the fit of the other constants, because a fit of the
-    yield stress to flows that hardly differ may give impossible constants.
+    `free` holds the indices of the fitted constants, among them the yield stress. The other constants are fitted first,
+    and the error is estimated from the linearised model at this fit. A fit of the yield stress itself could fail if the
+    flows hardly differ.
     """
     found = _least_squares(model, measured, start, [place for place in free if place != 1])
     slopes = model.sensitivities(found, free)
@@ -253,11 +258,11 @@ def _yield_error(model: TapModel, measured: np.ndarray, start: np.ndarray, free:
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the first constants of `free`, as many as the measured pressures determine.
+    """Return those constants that the measured pressures determine, as a list of indices.
 
-    `slopes` holds the derivatives of the pressures at the taps (places of gauges) with respect to these constants,
-    shape (taps, free). As long as the columns of `slopes` are linearly dependent, the last constant is dropped together
-    with its column.
+    `free` holds the indices of all constants that could be fitted, and `slopes` the derivatives of the pressures at the
+    taps (places of gauges) with respect to these constants, shape (taps, free). The last constant is dropped until the
+    columns of `slopes` are linearly independent.
     """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
@@ -294,8 +299,8 @@ def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
             same = abs(far.flow - near.flow) <= SAME_FLOW * near.flow
             if same and far.place > near.place and behind > REVERSED * before:
                 refuse(f"fit, line {far.row}: pressure", far.pressure,
-                       f"must be lower than the pressure in line {near.row} of the file, whose tap is nearer to the "
-                       "pump, by the weight and the friction of the concrete between the two taps",
+                       f"is too high compared with line {near.row} of the file, whose tap is nearer to the pump: "
+                       "between the two taps, the pressure must fall by the weight and the friction of the concrete",
                        "check the places of the gauges; they count from the pump")  # fmt: skip
 
 

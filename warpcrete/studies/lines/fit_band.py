@@ -27,14 +27,14 @@ LAYER_STEP = 1.001
 
 
 def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:
-    """Return a fit that combines the fitted slip layer with what was known of the layer before the measurement.
+    """Return a fit that combines the fitted slip layer with the layer that was expected before the measurement.
 
-    `concrete` has the slip layer that was expected before, and `prior` holds the concretes at the lower and the upper
-    end of the uncertainty band of this expected layer. The fit and the earlier knowledge each give a friction of
-    straight pipe at the mean flow, with a band. The logarithm of the result's friction is the mean of the two
-    logarithms, weighted by the inverse squares of the widths of the bands. The fitted constants of the layer are
-    multiplied by one factor that gives this friction. If the fit lies outside the earlier band, this band is first
-    widened to contain the fit. Earlier knowledge therefore counts less if the gauges contradict it more.
+    `concrete` has the expected slip layer, and `prior` holds two concretes, whose layers are at the lower and at the
+    upper end of the expected layer's uncertainty band. The fitted and the expected layer each give a friction of
+    straight pipe at the mean flow, with a band. Their logarithms are averaged, weighted by the inverse squares of the
+    widths of the bands. Both constants of the fitted layer are then multiplied by the same factor, so that they give
+    the averaged friction. If the fit lies outside the expected band, this band is first widened until it contains the
+    fit. The expected layer therefore has less weight if the gauges contradict it.
     """
     pipe = metre_model(line, concrete, fit.taps)
     own = np.array([fit.constants[0].value, fit.constants[1].value, 1.0])
@@ -71,9 +71,9 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
 def of_layer(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
     """Return a fit whose uncertainty of the slip layer follows from the uncertainty of the friction.
 
-    The friction of straight pipe grows with the layer's resistance to the power e, the elasticity. If the layer is
-    stiff, the concrete is sheared as well, and e is below 1. The same uncertainty of the friction then means a larger
-    uncertainty of the layer: 1 + u of the friction becomes (1 + u)^(1 / e) of the layer.
+    The friction of straight pipe is proportional to the layer's resistance to the power e, the elasticity. If the layer
+    is stiff, the bulk of the concrete is sheared as well, and e is below 1. An uncertainty of the friction by the
+    factor 1 + u then corresponds to a larger uncertainty of the layer's resistance, by the factor (1 + u)^(1 / e).
     """
     pipe = metre_model(line, concrete, fit.taps)
     eta, tau = (each.value for each in fit.constants[:2])
@@ -82,20 +82,20 @@ def of_layer(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 
 
 def elasticity(friction: Callable[[float, float], float], viscosity: float, stress: float) -> float:
-    """Return the relative change of a friction, divided by the relative change of the slip layer's resistance.
+    """Return the elasticity of a friction: the derivative of its logarithm by the logarithm of the layer's resistance.
 
-    The arguments of `friction` are the viscosity [Pa s/m] and the yield stress [Pa] of a slip layer. Both change by the
-    same factor, from the values `viscosity` and `stress`.
+    The function `friction` gives the friction for the viscosity [Pa s/m] and the yield stress [Pa] of a slip layer. The
+    derivative is taken at the values `viscosity` and `stress`, which are both multiplied by the same factor.
     """
     low, high = (friction(x * viscosity, x * stress) for x in (1 / LAYER_STEP, LAYER_STEP))
     return math.log(high / low) / (2 * math.log(LAYER_STEP))
 
 
 def layer_deviation(friction: float, power: float) -> float:
-    """Return the logarithm of the factor on a slip layer that multiplies a friction by exp(`friction`).
+    """Convert a deviation of the friction to the deviation of the slip layer's resistance that causes it.
 
-    `power` is the elasticity of the friction. If the friction hardly depends on the layer, it gives the layer no useful
-    limit, and the factor is the largest of `UNCERTAINTIES`.
+    Both deviations are logarithms of factors. `power` is the elasticity of the friction (:func:`elasticity`). If the
+    friction hardly depends on the layer, the result is limited to the upper end of `UNCERTAINTIES`.
     """
     if friction <= 0:
         return 0.0
@@ -106,11 +106,11 @@ def layer_deviation(friction: float, power: float) -> float:
 def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
     """Return a fit whose uncertainty band is wide enough for the readings of the gauges.
 
-    If the mean readings of all gauges lie inside the band, or outside it by at most the error limit of a gauge, the fit
-    explains the gauges. The band is then only widened to contain the mean reading of the gauge nearest to the pump.
-    Otherwise, no slip layer explains all gauges. The band is then widened to contain the mean readings of all gauges,
-    and the result names the two stretches of the line that contradict each other most. With an error limit of 0, all
-    deviations count as scatter, so that the gauges never contradict each other.
+    The fit explains the gauges if the mean reading of each gauge lies inside the band, or outside it by at most the
+    error limit of a gauge. In this case, the band is widened only if it does not contain the mean reading of the gauge
+    nearest to the pump. Otherwise, the band is widened until it contains the mean readings of all gauges, and the
+    result names the two stretches of the line that contradict each other most. If the error limit is 0, all deviations
+    count as scatter, so that the gauges never contradict each other.
     """
     model = _at_taps(fit, line, concrete)
     places = np.array([tap.place for tap in fit.taps])
@@ -137,7 +137,11 @@ def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 
 
 def with_expected(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete] | None) -> LineFit:
-    """Return a fit that is compared with the slip layer of `concrete`, and with the band of this layer in `prior`."""
+    """Return a fit whose attributes `expected` and `outside` compare it with the slip layer expected before.
+
+    `concrete` has the expected slip layer. `prior` holds two concretes, whose layers are at the lower and at the upper
+    end of the expected band.
+    """
     pipe = metre_model(line, concrete, fit.taps)
     own = fit.concrete(concrete)
     friction, expected = (
@@ -152,10 +156,10 @@ def with_expected(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple
 
 
 def _bisected(ends: tuple[float, float], is_below: Callable[[float], bool]) -> float:
-    """Return the value between the positive `ends` at which `is_below` changes from true to false.
+    """Return the number between the positive `ends` at which `is_below` changes from true to false.
 
-    The value is found by bisection of logarithms. The result lies above it by a tiny fraction, so that `is_below` is
-    false for the result.
+    The number is found by bisection on a logarithmic scale. It is rounded up slightly, so that `is_below` is false for
+    the result.
     """
     low, high = ends
     for _ in range(BISECTIONS):
@@ -165,7 +169,7 @@ def _bisected(ends: tuple[float, float], is_below: Callable[[float], bool]) -> f
 
 
 def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[float], np.ndarray]:
-    """Return a function that gives the pressures at the taps, which are the places of gauges [Pa].
+    """Return a function that gives the pressures [Pa] at the taps (places of gauges), shape (taps,).
 
     The argument of the function is a factor by which both constants of the fitted slip layer are multiplied.
     """
@@ -176,10 +180,10 @@ def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[floa
 
 
 def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradiction | None:
-    """Return the two stretches of a trial line at one flow whose measured frictions disagree most.
+    """Return the two stretches of a trial line whose measured frictions contradict each other most.
 
-    The measured friction of each stretch is compared with the friction by the fit. Returns None if no flow was measured
-    at two places.
+    For each stretch, the measured friction is divided by the friction of the fit at the same flow. The result is the
+    pair of stretches at one flow for which these ratios differ most, or None if no flow was measured at two places.
     """
     weights = concrete.density * GRAVITY * np.array(TapModel(line, concrete, fit.taps).rises)
     by_flow: dict[float, dict[float, tuple[float, float]]] = {}

@@ -1,4 +1,4 @@
-"""Files with the result of a fit to a trial line, for use with another line: a concrete, and the factor of bends."""
+"""Files with the results of a fit to a trial line: the concrete and the factor of bends, for use in another line."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,9 +24,9 @@ def fitted_concrete(
 ) -> dict[str, Any]:
     """Return the contents of a concrete's file with the fitted slip layer and its uncertainty.
 
-    `concrete` is the concrete before the fit, and `mix` its mix, if it has one. `source` is the concrete's own file or
-    shipped description; all its other entries are kept. None means that the user stated only slump or spread. `line` is
-    the name of the trial line.
+    `concrete` is the concrete before the fit, and `mix` its mix, if it has one. `source` is the file or the shipped
+    description of the concrete, whose other entries are kept; it is None if the user stated only the slump or spread.
+    `line` is the name of the trial line.
     """
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
     origin += "" if fit.contradiction is None else ", which contradict each other"
@@ -40,7 +40,7 @@ def fitted_concrete(
     else:
         entries = _plain(section.values) | _points(section, mix.given)
     found["mix"] = entries | {"layer": layer}
-    # If the concrete had no mix, the new section `mix` contains its flow constants, so the section `flow` is empty.
+    # If the concrete had no mix, its flow constants are now in the section `mix`, so the section `flow` stays empty.
     flow = {} if section is None else _plain(section.flow)
     others = {
         "elements": {} if source is None else _plain(source.elements if section is None else section.elements),
@@ -74,7 +74,7 @@ def _write(path: Path, contents: Mapping[str, Any]) -> None:
 
 
 def _plain_entries(concrete: Concrete) -> dict[str, Any]:
-    """Return the entries of a mix that states the constants of a concrete as measured."""
+    """Return the entries of a section `mix` that states the constants of a concrete as measured values."""
     bulk = {"viscosity": concrete.viscosity, "yield_stress": concrete.yield_stress}
     bulk |= {key: getattr(concrete, key) for key in ("flow_index", "quadratic_viscosity")
              if getattr(concrete, key) != LAW_DEFAULTS[key]}  # fmt: skip
@@ -105,7 +105,7 @@ def _short(value: float) -> float:
 
 
 def _plain(value: Any) -> Any:
-    """Return entries of a file as plain dictionaries, lists and values, which the writer of YAML accepts."""
+    """Convert the entries of a file to plain dictionaries and lists, because only these can be written as YAML."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):

@@ -2,7 +2,7 @@
 
 Pressures at one flow determine the friction at this flow only. A layer with a larger yield stress and a smaller
 viscosity has the same friction there, but less friction at a larger flow and more friction at a smaller flow. Pressures
-at two flows determine the yield stress with an error, which has the same effect.
+at two flows determine the yield stress, but with an error, which also makes the friction at other flows uncertain.
 """
 
 import math
@@ -48,18 +48,18 @@ def known_yields(concrete: Concrete, yields: tuple[float, float] | None = None) 
 
 
 def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[float, float] | None = None) -> LineFit:
-    """Return a fit with two further slip layers, which the measured pressures do not distinguish from the fitted one.
+    """Add to a fit two slip layers that agree with the measured pressures as well as the fitted layer does.
 
-    The layers have the smallest and the largest possible yield stress, and the same mean friction behind the gauges as
-    the fitted layer. If the pressures determine the yield stress, its range is given by `yield_deviation`. Otherwise it
-    is the range from before the measurement (:func:`known_yields`). The viscosity of the layers is at least `THINNEST`,
-    unless the fitted viscosity is smaller.
+    The two layers (`yield_layers`) have the smallest and the largest possible yield stress, and the same mean friction
+    between the gauges and the end of the line as the fitted layer. If the pressures determine the yield stress, its
+    range follows from `yield_deviation`. Otherwise it is the range from before the measurement (:func:`known_yields`).
+    The viscosity of the two layers is at least `THINNEST`, unless the fitted viscosity is smaller.
 
-    The errors of the fit relate the yield stress to the friction. With this relation, the layers at the ends of the
-    band of the friction (`layer_ends`) get their yield stresses.
+    The function also adds `layer_ends`, the layers at both ends of the band of the friction. Their yield stresses
+    follow from the friction, because the errors of the two in the fit are correlated (`yield_slope`).
 
-    If the pressures do not determine the yield stress, the band of the fitted viscosity contains the viscosities of
-    these layers.
+    If the yield stress was not fitted, the band of the fitted viscosity is widened to contain the viscosities of the
+    two layers.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
@@ -92,11 +92,11 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
 
 
 def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
-    """Return a fit with the uncertainty of its layer in another line, which is larger than in the trial line.
+    """Add to a fit the uncertainty that its slip layer has in another line, which is larger than in the trial line.
 
-    The uncertainty contains the friction of both pairs of layers of :func:`with_yields` at the flows `OTHER_FLOWS`. It
-    also contains the error that the fittings of the trial line cause in the fitted layer, because another line has
-    other fittings. The bands of the layer's constants contain this error as well.
+    The uncertainty has two causes. At the flows `OTHER_FLOWS`, the layers of :func:`with_yields` have another friction
+    than the fitted layer. Besides, the friction of the trial line's fittings is uncertain, which affects the fitted
+    layer, and another line has other fittings. The bands of the layer's constants also contain the second cause.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     fittings = _deviation_by_fittings(fit, line, concrete)
@@ -104,8 +104,7 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
     wide = alone
     for ratio in OTHER_FLOWS:
         there = _friction_behind_gauges(fit, line, concrete, ratio)
-        # The later uncertainty describes the layer, so convert the deviations of the friction to deviations of the
-        # layer.
+        # Convert deviations of the friction to deviations of the layer's resistance.
         power = elasticity(there, eta, tau)
         offs = [layer_deviation(max(abs(math.log(there(*end) / there(eta, tau))) for end in pair), power)
                 for pair in (fit.layer_ends, fit.yield_layers)]  # fmt: skip
@@ -116,9 +115,10 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 
 
 def _wider(constant: FittedConstant, *values: float) -> FittedConstant:
-    """Return a fitted constant whose band also contains the effect of a further, independent cause of error.
+    """Widen the band of a fitted constant by the effect of a further, independent cause of error.
 
-    `values` are the values of the constant at both ends of the band of this cause. The deviations are added in squares.
+    `values` holds the values of the constant at both ends of the band of this cause. The width that this cause adds and
+    the present width are added in squares.
     """
     own = constant.value
     below, above = (max(0.0, *(sign * (each - own) for each in values)) for sign in (-1, 1))
@@ -129,10 +129,10 @@ def _wider(constant: FittedConstant, *values: float) -> FittedConstant:
 def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> float:
     """Return the logarithm of the factor by which errors of the fittings may change the fitted layer.
 
-    If the fittings of one kind have a larger friction than assumed, the same gauges give a layer with less resistance.
-    The effects of both ends of the range of their friction are averaged in squares, because only one of them can occur.
-    The effects of several kinds are added in squares. Bends are left out if their factor was fitted, because the errors
-    of the fit contain their effect.
+    If the true friction of a kind of fitting, such as bends, is larger than assumed, the true resistance of the slip
+    layer is smaller than fitted, because the gauges show the sum. For each kind, the effects of the lower and of the
+    upper end of its friction are averaged in squares. The effects of different kinds are added in squares. Bends are
+    left out if their factor was fitted, because the errors of the fit already contain their effect.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
@@ -152,7 +152,7 @@ def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> 
 
 
 def _at_end(part: Part, end: int, straight: float) -> Part:
-    """Return a part with the friction at the lower (`end` 0) or upper (`end` 1) end of its range.
+    """Return a copy of a part whose friction is at the lower (`end` = 0) or upper (`end` = 1) limit of its uncertainty.
 
     `straight` is the friction of a straight pipe with the length and bores of the part [Pa].
     """
@@ -166,8 +166,8 @@ def _friction_behind_gauges(
     """Return a function that gives the mean friction from the places of the gauges to the end of the line [Pa].
 
     The arguments of the function are the viscosity [Pa s/m] and the yield stress [Pa] of a slip layer. The flow of each
-    reading is multiplied by `ratio`. The whole line counts and not only its first bore, because concrete slips faster
-    in a narrow bore than in a wide one.
+    reading is multiplied by `ratio`. The friction of the whole line is used because the slip velocity, and therefore
+    the effect of the yield stress, depends on the bore.
     """
     factor = fit.bend_factor
     taps = [replace(tap, flow=ratio * tap.flow) for tap in fit.taps]

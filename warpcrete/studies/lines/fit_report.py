@@ -73,10 +73,10 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
 
 
 def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> list[str]:
-    """Return the fitted slip layer as entries for the file of the concrete, with words on where to write them.
+    """Return lines of text with the fitted slip layer as entries for the concrete's file, and where to write them.
 
-    The factors on yield stresses and viscosities in this file will multiply the entries, which are therefore divided by
-    them.
+    The entries are divided by the `factors` on yield stresses and on viscosities in this file, because the program
+    multiplies the entries by these factors when it reads the file.
     """
     before = "" if factors == (1.0, 1.0) else ", divided by the factors that it states"
     if mix:
@@ -101,7 +101,7 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
 
 
 def _meaning(fit: LineFit) -> str:
-    """Return a sentence that compares the fitted friction and the fitted constants with their expected values."""
+    """Return a sentence that compares the fit with the values that the concrete's file lets expect."""
     text = f"the friction in straight pipe is {fit.expected:.3g} times the value expected from the concrete's file"
     if fit.outside:
         text += f"; outside the expected band: {', '.join(fit.outside)}"
@@ -127,7 +127,7 @@ def _open_yield(fit: LineFit, customary: bool) -> str:
 
 
 def _surprise(ratio: float) -> str:
-    """Return a remark for the user that the fitted friction lies outside the band of the expected friction.
+    """Return a warning for the user that the fitted friction lies outside the band of the expected friction.
 
     `ratio` is the fitted friction of straight pipe, divided by the expected friction.
     """
@@ -139,9 +139,10 @@ def _surprise(ratio: float) -> str:
 
 
 def warning_of(fit: LineFit, customary: bool) -> str:
-    """Return a warning that no slip layer explains the gauges, with the friction that two stretches of the line need.
+    """Return a warning that no slip layer explains the readings of all gauges.
 
-    The fit must have a contradiction. The friction is in psi/ft if `customary` is true, and in bar/m otherwise.
+    The warning states the measured friction of the two stretches of the line that contradict each other most, in psi/ft
+    if `customary` is true, and in bar/m otherwise. `fit.contradiction` must not be None.
     """
     found = fit.contradiction
     assert found is not None, "the gauges do not contradict each other"

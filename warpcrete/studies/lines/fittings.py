@@ -1,6 +1,6 @@
-"""Factors of friction of bends, reducers, hoses, valves and changes of bore, relative to straight pipe.
+"""Friction of bends, reducers, hoses, valves and changes of bore, divided by the friction of straight pipe.
 
-Each kind of part has a range of factors and the source of this range.
+For each kind of part, this module holds the range of this ratio, and the source of the range.
 """
 
 from collections.abc import Iterable
@@ -29,14 +29,14 @@ simulated loss is 0.993 times the loss in straight pipe."""
 
 @dataclass(frozen=True)
 class ModelError:
-    """Lowest and highest friction of one kind of part, relative to straight pipe of the same length."""
+    """Lowest and highest friction of one kind of part, divided by the friction of straight pipe of the same length."""
 
     cause: str
     """Name under which this kind of part appears among the causes of a pressure's uncertainty, such as 'bends'."""
     low: float
     high: float
     source: str
-    """Publications and rules from which the lower and the upper end of the range of a part's friction were taken."""
+    """Publications and rules of practice that give the lower and the upper end of the range."""
 
 
 MODEL_ERRORS = {
@@ -65,16 +65,16 @@ def methods_on_bends(customary: bool = False) -> str:
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
-    """Return the lowest and the highest friction of a part relative to straight pipe, or None.
+    """Return the lowest and the highest possible friction of a part, divided by the friction of straight pipe.
 
-    The range expresses the uncertainty of the part's friction. The straight pipe has the same length and bores as the
-    part, and `straight` is its friction [Pa]. There are four cases:
+    The straight pipe has the same length and bores as the part, and `straight` is its friction [Pa]. The result depends
+    on the origin of the part's friction:
 
-    - A fit to pressures measured on a trial line gave the part's friction. The result is the range from this fit.
-    - The line's file states the part's friction. The result is None.
-    - The part is a straight pipe. The result is None.
-    - For all other parts, the result is the range in :data:`MODEL_ERRORS` for the kind of part, such as a bend. For a
-      valve, the upper end is :data:`VALVE_PRESSURE` divided by `straight` if this ratio is higher.
+    - Fit to pressures measured on a trial line: the range from the fit.
+    - Entry in the file of the line: the range that the entry states, or None if it states none.
+    - Straight pipe: None.
+    - All other parts: the range of :data:`MODEL_ERRORS`. The pressure loss of a valve may also reach
+      :data:`VALVE_PRESSURE`, so its upper end is at least this pressure divided by `straight`.
     """
     error = MODEL_ERRORS.get(part.kind)
     if part.factor is not None:
@@ -104,8 +104,8 @@ def library_factor(part: Part) -> float:
     if part.kind == "bend":
         return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
     if part.kind == "reducer":
-        # The first entry of the table is for a pipe of constant radius, without additional loss. In a pipe that widens,
-        # the change of radius is negative, so the interpolation returns this first entry.
+        # The first entry of the table is the loss at constant radius, which is zero. The interpolation also returns it
+        # for a pipe that widens, because the change of radius is then negative.
         return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
     return 1.0
 

@@ -33,10 +33,11 @@ def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> 
 def part_simulation(
     scene: Any, check: Any, out: Path | None, called: str, digest: str = "", **settings: Any
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a part of a pump line, and the checkpoint from which it continues (None if new).
+    """Return the simulation of a part of a pump line, and the path of the checkpoint from which it continues, or None.
 
-    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues in the folder
-    of that run. Otherwise, it starts in a new folder with the name `called`.
+    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues this run in its
+    folder. Otherwise, it starts in a new folder with the name `called`. If the part has a mesh, `digest` is the
+    checksum of the mesh file.
     """
     if out is None:
         return Simulation(scene, recorders=[CheckRecorder(check)], **settings), None

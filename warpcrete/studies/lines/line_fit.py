@@ -33,7 +33,7 @@ class FittedConstant:
     fitted: bool
     """True if the measured pressures determine the constant. Otherwise `reason` states how it got its value."""
     reason: str = "not determined by these points, kept"
-    """Explanation of the value of a constant that the measured pressures do not determine."""
+    """Reason for the value of the constant if the measured pressures do not determine it."""
 
     @property
     def text(self) -> str:
@@ -62,7 +62,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Gauges that no slip layer explains: the two stretches of the line whose readings contradict each other most."""
+    """The two stretches of a line whose readings contradict each other most, if no slip layer explains all gauges."""
 
     low: Stretch
     """Stretch with the smallest ratio of measured friction to friction by the fit."""
@@ -72,7 +72,10 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class LineFit:
-    """Slip layer and factor of bends that were fitted to pressures at taps, the places of gauges on a pump line."""
+    """Slip layer and factor of bends that were fitted to pressures at the taps (places of gauges) of a pump line.
+
+    The factor of bends is the friction of a bend, divided by the friction of straight pipe of the same length.
+    """
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
@@ -91,17 +94,18 @@ class LineFit:
     """Weight, between 0 and 1, of what was known of the slip layer before the measurement. The weight of the
     measurement is 1 minus this number."""
     surprise: float | None = None
-    """Fitted friction of straight pipe, divided by the friction that was expected before the measurement. The value is
-    None if the fit lies inside the band of the expected friction, or if no friction was expected."""
+    """Fitted friction of straight pipe, divided by the friction that was expected before the measurement, if the fit
+    lies outside the band of the expected friction; None otherwise."""
     contradiction: Contradiction | None = None
     """Contradiction between the gauges; None if one slip layer explains them all."""
 
     yield_slope: float | None = None
-    """Change of the fitted yield stress of the slip layer if the friction changes by its error, divided by the change
-    of the friction's logarithm [Pa]. An error of a gauge, for example, changes the yield stress and hardly the
-    viscosity. The value is None if the yield stress was not fitted; both constants then change by one factor."""
+    """Regression slope [Pa] of the error of the fitted yield stress on the error of the logarithm of the friction. The
+    two errors are correlated, because both come from the errors of the gauges. The value is None if the yield stress
+    was not fitted; both constants of the layer are then assumed to change by the same factor."""
     yield_deviation: float = 0.0
-    """Error limit of the fitted yield stress of the slip layer if the friction at the mean flow has no error [Pa]."""
+    """Error limit [Pa] of the fitted yield stress of the slip layer that remains if the friction at the mean flow is
+    known exactly."""
     layer_ends: tuple[tuple[float, float], ...] = ()
     """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers at the lower and the upper end of the band of the
     friction."""
@@ -117,7 +121,7 @@ class LineFit:
     """Flow index and quadratic viscosity [Pa s2/m2] of the slip layer, as `flow_index` and `quadratic_viscosity`. A
     constant that the layer's flow law does not have is left out. A fit does not change these constants."""
     outside: tuple[str, ...] = ()
-    """Names of the fitted constants that lie outside the band that the mix, or the assumed layer, gave them."""
+    """Names of the fitted constants that lie outside the bands expected before the measurement."""
 
     @property
     def knows_yield(self) -> bool:
@@ -162,20 +166,27 @@ class LineFit:
         return found if self.contradiction is None else found | {"gauges": CONTRADICTORY}
 
     def law_entries(self, viscous: float) -> dict[str, float]:
-        """Return `laws` as entries for a concrete's file whose factor on viscosities is `viscous`."""
+        """Return the constants in :attr:`laws` as entries for a concrete's file.
+
+        The file multiplies viscosities by the factor `viscous`, so viscosities are divided by it here.
+        """
         divisors = {"quadratic_viscosity": viscous}
         return {key: float(f"{value / divisors.get(key, 1.0):.9g}") for key, value in self.laws.items()}
 
     def variants(
         self, concrete: Concrete, before: Mapping[str, tuple[Concrete, Concrete]] | None = None
     ) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return, for each cause of uncertainty, two concretes at the lower and the upper end of its band.
+        """Return two concretes for each cause of uncertainty, at the lower and at the upper end of the cause's band.
 
-        The cause 'slip layer' has the band of the fit. The cause 'density' keeps its band from before the measurement,
-        whose concretes are in `before`. A third cause has the layers of `yield_layers`. It is called `FITTED_YIELD`, or
-        `OPEN_YIELD` if the measured pressures do not determine the yield stress of the layer. This cause hardly has an
-        effect at the measured flows. Viscosity and yield stress of the bulk are left out. The fitted slip layer
-        compensates errors of these constants, because bulk and slip layer together give the measured pressures.
+        There are up to three causes:
+
+        - 'slip layer': the band of the fit.
+        - 'density': the band from before the measurement, if `before` holds concretes for this cause.
+        - `FITTED_YIELD`, or `OPEN_YIELD` if the pressures do not determine the yield stress of the layer: the layers of
+          `yield_layers`. This cause has hardly any effect at the measured flows.
+
+        Viscosity and yield stress of the bulk are no causes, because the fitted slip layer compensates their errors:
+        bulk and slip layer together give the measured pressures.
         """
         own = self.concrete(concrete)
         if self.layer_ends:
@@ -191,10 +202,7 @@ class LineFit:
         return found
 
     def line(self, line: PipeLine) -> PipeLine:
-        """Return the line whose bends have the fitted factor.
-
-        Bends whose factor the line's file states keep that factor.
-        """
+        """Return a copy of a line in which all bends have the fitted factor, except those whose factor is stated."""
         bends = self.constants[2] if len(self.constants) > 2 else None
         if bends is None or not bends.fitted:
             return line

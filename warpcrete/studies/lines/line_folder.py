@@ -20,10 +20,10 @@ PARTS = "parts"
 def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     """Lock the folder of a line during a `with` block.
 
-    The folder `out` must be new, or must belong to an interrupted line, which then continues. `asked` holds all inputs
-    on which the line's runs depend, as JSON. If `out` is None, nothing is locked. If the block fails before it has
-    begun any run in a new folder, the folder is removed. Raises :class:`RunFolderError` if the folder exists and holds
-    a finished line, or an interrupted line with other inputs.
+    The folder `out` must be new, or must hold an interrupted line with the same inputs, which then continues. `asked`
+    holds all inputs on which the line's runs depend; it must be possible to write them as JSON. If `out` is None,
+    nothing is locked. A new folder is removed if the block fails before the first run has begun. Raises
+    :class:`RunFolderError` if the folder holds a finished line, or an interrupted line with other inputs.
     """
     if out is None:
         yield
@@ -31,7 +31,8 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     record = out / LINE_RECORD
     known = json.loads(json.dumps(asked))
     if record.is_file() and read_json(record) != known:
-        raise RunFolderError(f"out = '{out}': contains the unfinished results of another line; choose a new folder")
+        raise RunFolderError(f"out = '{out}': contains the unfinished results of a line with other inputs; choose a "
+                             "new folder")  # fmt: skip
     with locked_folder(out, LINE_RECORD) if record.is_file() else new_folder(out):
         if not record.is_file():
             write_json(record, known)

@@ -31,10 +31,10 @@ values are summed (Gauss-Legendre quadrature)."""
 
 
 def friction(part: Part, concrete: Concrete, flow: float) -> float:
-    """Return a part's friction [Pa] by the closed form for a straight pipe of the same bore and length.
+    """Return a part's friction [Pa]: the closed form for straight pipe of the same bore and length, times a factor.
 
-    The closed form is multiplied by the factor that the line's file states for the part. A hose without a stated factor
-    is multiplied by the factor of the program's model of hoses.
+    The line's file may state the factor for the part. Otherwise, a hose gets the factor of the program's model of
+    hoses, and all other parts get 1.
     """
     return straight_friction(part, concrete, flow) * part.relative
 
@@ -64,11 +64,11 @@ def _friction_per_metre(concrete: Concrete, diameter: float, outlet: float, flow
 
 
 def course_of(losses: Sequence[float]) -> list[float]:
-    """Return the pressures at the start of a line and at the ends of its parts [Pa], which are parts + 1 numbers.
+    """Return the pressures at the start of a line and at the ends of its parts [Pa], shape (parts + 1,).
 
     `losses` holds the pressure loss of each part [Pa], in the order from the start of the line to its end. The pressure
-    at the end of the line is zero. No pressure falls below zero: where concrete runs down faster than it is pumped, the
-    column breaks and transmits no tension.
+    at the end of the line is zero. No pressure is below zero, because the concrete column transmits no tension: it
+    breaks where concrete runs down faster than it is pumped.
     """
     found = [0.0]
     for loss in reversed(losses):

@@ -11,9 +11,10 @@ STRAIGHT_UNITS = ("vertical", "horizontal")
 
 
 def pipeline_pressure(vertical: float, horizontal: float, height: float, distance: float) -> float:
-    """Return the total pressure [Pa] from pressures per metre of pipe [Pa/m] and the lengths of pipe [m].
+    """Return the total pressure [Pa] of a pipeline by Eq. 13 of Zhan et al. (2019).
 
-    Zhan et al. (2019), Eq. 13, adds `vertical` times `height` and `horizontal` times `distance`. Raises
+    The pressure is vertical * height + horizontal * distance. `vertical` and `horizontal` are the pressures per metre
+    of vertical and of horizontal pipe [Pa/m], `height` and `distance` the lengths of these pipes [m]. Raises
     :class:`SceneError` for a negative length.
     """
     between("pipeline vertical length", height, 0, float("inf"), "m")
@@ -22,11 +23,12 @@ def pipeline_pressure(vertical: float, horizontal: float, height: float, distanc
 
 
 def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
-    """Refuse a scene or a second result to which Eq. 13 of Zhan et al. (2019) cannot be applied.
+    """Check that Eq. 13 of Zhan et al. (2019) can be applied to a scene and to the result of an earlier run.
 
     Eq. 13 combines the results of a vertical and of a horizontal pipe. `scene` is the scene of one of these pipes, and
-    `other` the result of a run with the other pipe. `source` is the place from which `other` was read, for error
-    messages. Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
+    `other` the result of an earlier run of the other pipe, or None. `source` is the folder from which `other` was read,
+    for error messages. Raises :class:`SceneError` if the scene is unsuitable, and :class:`RunFolderError` if the result
+    is unsuitable.
     """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
@@ -51,10 +53,11 @@ def pipeline_estimate(
 ) -> dict[str, Any] | None:
     """Return the pressure of a pipeline by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
 
-    `height` and `distance` are the lengths of vertical and horizontal pipe in the pipeline [m]. The run pumps through a
-    vertical or a horizontal pipe and gives the pressure per metre in this direction. `other` is the content of the
-    result.json of a run in the other direction, and gives the pressure per metre in that direction. Without `other`,
-    the weight of the concrete is subtracted or added instead, and the result states this assumption.
+    `height` and `distance` are the lengths of vertical and horizontal pipe in the pipeline [m]. The run, which pumps
+    through a vertical or a horizontal pipe, gives the pressure per metre in this direction. The pressure per metre in
+    the other direction comes from `other`, the contents of the result.json of a second run. If `other` is None, it is
+    estimated from the first run: the weight of the concrete is subtracted for a horizontal pipe, and added for a
+    vertical one. The result states this assumption.
     """
     if "plateau_pressure" not in run.result:
         return None

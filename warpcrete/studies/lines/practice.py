@@ -55,8 +55,8 @@ class PracticeRow:
     """Pressure losses in the pump line [Pa], summed over the parts of each kind. The weight of rising concrete counts
     for the kind of the part in which the concrete rises."""
     pressure: float
-    """Pressure at the pump by this rule of practice [Pa]. It exceeds the sum of the losses where falling concrete
-    separates, because the pressure before this place counts from 0."""
+    """Pressure at the pump by this rule of practice [Pa]. It is larger than the sum of the losses if concrete separates
+    in falling pipe, because the pressure there is zero and not negative."""
     implies: str
     """Sentence that states which friction the rule assumes, and which pressure it adds where concrete rises."""
     source: str = ""
@@ -68,18 +68,20 @@ def _level(part: Part) -> float:
 
 
 def _hose(length: float, lengths: tuple[float, float]) -> float:
-    """Return the number of hoses of a rule of practice that have the same loss as one hose with the given `length` [m].
+    """Return the loss of a hose with the given `length` [m], divided by the loss that a rule states for a hose.
 
-    A hose counts as one if its length is between the two `lengths` of the rule [m]. A shorter hose has the same loss
-    per metre as the shortest hose of the rule, and a longer hose the same loss per metre as the longest hose of the
-    rule.
+    The rule states one loss for all hoses whose length is between the two `lengths` [m]. The loss per metre of a
+    shorter or longer hose is assumed to be that of the shortest or longest hose of the rule.
     """
     shortest, longest = lengths
     return max(min(1.0, length / shortest), length / longest)
 
 
 def _row(rule: str, parts: Sequence[Part], loss: Callable[[Part], float], implies: str, source: str) -> PracticeRow:
-    """Return the pressure of a pump line by a rule of practice from the pressure `loss` of each part [Pa]."""
+    """Add up the losses of all parts of a pump line by a rule of practice.
+
+    `loss` returns the pressure loss of a part by the rule [Pa]. The other arguments are those of :class:`PracticeRow`.
+    """
     found: dict[str, float] = {}
     losses = [loss(part) for part in parts]
     for part, own in zip(parts, losses, strict=True):
@@ -96,9 +98,8 @@ def practice_rows(
     bores of this part. `weight` is the pressure due to the concrete's weight per metre of rise [Pa/m]. If `customary`
     is true, the sentences on the rules state amounts also in US units.
 
-    If the line's file states the friction of a part, as `factor` or `equivalent`, or a fit has found it, each rule uses
-    this friction instead of its own figure: the rule's friction of straight pipe, multiplied by the factor. The weight
-    is added.
+    The friction of a part may be stated in the line's file, as `factor` or `equivalent`, or come from a fit. For such a
+    part, each rule uses the rule's friction of straight pipe, multiplied by this factor, and adds the weight.
     """
 
     def per_metre(part: Part) -> float:
@@ -164,10 +165,10 @@ def practice_rows(
 
 
 def _as_straight(kinds: Collection[str], others: Sequence[str]) -> str:
-    """Return words on the kinds of parts in a line that a rule does not cover, which count as straight pipe.
+    """Return a remark that names those kinds of parts in a line that count as straight pipe; empty if there are none.
 
-    `kinds` are the kinds of the parts whose friction the line's file does not state, and `others` are the kinds that
-    the rule does not cover.
+    These are the kinds that the rule does not cover (`others`). `kinds` are the kinds of the line's parts, without
+    parts whose friction the line's file states.
     """
     found = [GROUPS[kind] for kind in others if kind in kinds]
     return f"; {' and '.join(found)} count as straight pipe, because the rule does not cover them" if found else ""

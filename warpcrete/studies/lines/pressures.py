@@ -26,9 +26,8 @@ class Loss:
     friction: float
     """Pressure loss of the part by friction [Pa]."""
     theory: float
-    """Friction of the part by the closed form [Pa]: the friction of straight pipe of the same bore and length,
-    multiplied by a factor. The factor is the one that the line's file states. If the file states none, a hose gets the
-    factor of its model, and other parts get 1."""
+    """Friction of the part by the closed form [Pa] (:func:`.losses.friction`): the friction of straight pipe of the
+    same bore and length, multiplied by the factor from the line's file or, for a hose, from the model of hoses."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 
@@ -39,18 +38,19 @@ class Loss:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Range of a part's friction due to the error of its model, relative to the friction of straight pipe.
+        """Lowest and highest possible friction of the part, divided by the friction of straight pipe.
 
-        The value is None for parts without such an error, such as straight pipe.
+        The range expresses the error of the model of a fitting; the value is None for parts without such an error, such
+        as straight pipe.
         """
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
         """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
 
-        The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
-        below the lower limit or above the upper limit, the computed friction takes the place of this limit. Without a
-        range, both limits equal the computed friction.
+        The limits are the ends of :attr:`range`, multiplied by the friction of straight pipe. They are widened if
+        necessary, so that the computed friction always lies between them. If the range is None, both limits equal the
+        computed friction.
         """
         if self.range is None:
             return self.friction
@@ -66,16 +66,15 @@ class Stop:
     growth: float
     """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
     band: tuple[float, float] | None = None
-    """Lowest and highest growth rate of the yield stresses at rest [Pa/s], between which the true rate is expected;
-    None if `growth` has no uncertainty."""
+    """Lower and upper end of the uncertainty band of `growth` [Pa/s]; None if `growth` has no uncertainty."""
     highest: float | None = None
-    """Highest published growth rate of the yield stresses at rest [Pa/s], for which the restart is judged too; None if
-    `growth` was stated by the user."""
+    """Highest published growth rate of the yield stresses at rest [Pa/s], for which the restart is computed in
+    addition; None if the user stated `growth`."""
 
 
 @dataclass(repr=False)
 class LinePressures:
-    """Pressure losses of the parts of a line, and the pressures that follow from them."""
+    """Pressure losses of all parts of a line, and the pressure along the line that follows from them."""
 
     line: PipeLine
     concrete: Concrete
@@ -108,7 +107,7 @@ class LinePressures:
         return float(self.course(lambda loss: loss.theory + loss.weight)[1][0])
 
     def band(self) -> Band:
-        """Return the pressure at the line's start [Pa] with its uncertainty band and the contribution of each cause."""
+        """Return the pressure at the line's start [Pa], with its uncertainty band and the share of each cause in it."""
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
@@ -141,11 +140,11 @@ class LinePressures:
         return places, found
 
     def measured(self: P, cause: str, factors: tuple[float, float]) -> P:
-        """Return a copy with the uncertainty that would remain after a measurement of some properties of the concrete.
+        """Return a copy whose uncertainty is the one that would remain after a measurement of the concrete.
 
-        The measurement is assumed to confirm the present values. These properties belong to one cause of uncertainty,
-        `cause`, which is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'. `factors` are the lower and
-        the upper end of the uncertainty band that remains after the measurement, each divided by the measured value.
+        `cause` is the cause of uncertainty whose properties are measured, a key of
+        :data:`warpcrete.mix.mix.CAUSES` such as 'slip layer'. The measurement is assumed to confirm the present values
+        of these properties. `factors` are the ends of the remaining uncertainty band, divided by the measured value.
         """
         low, high = (
             with_layer_factor(self.concrete, x) if cause == "slip layer"
@@ -159,8 +158,8 @@ class LinePressures:
 
         With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
         `flow`, it is the pressure for restarting at that flow at once. The friction of straight pipe follows from the
-        closed form. The friction of a fitting is the friction of straight pipe, multiplied by the same ratio as before
-        the stop.
+        closed form with the yield stresses after the stop. The ratio of the friction of a fitting to the friction of
+        straight pipe is assumed to be the same as before the stop.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"
@@ -188,13 +187,12 @@ class LinePressures:
         return combined(value, ends)
 
     def _friction_with(self, kind: str, end: int) -> Callable[[Loss], float]:
-        """Return a function that gives the friction [Pa] of a part if fittings of one kind have another friction.
+        """Return a function that gives the friction [Pa] of a part if fittings of one `kind` have another friction.
 
-        The argument of the function is the :class:`Loss` of the part. The fittings of this `kind`, such as bends, have
-        the friction at the lower (`end` 0) or upper (`end` 1) end of their band. If the slip layer was fitted to a
-        trial line, the fit used the present friction of the fittings. If the fittings had another friction, the same
-        gauges would give another layer. All friction is therefore multiplied by one factor, so that the mean pressure
-        due to friction at the gauges remains the same.
+        The argument of the function is the :class:`Loss` of the part. The fittings of this kind, such as bends, have
+        the friction at the lower (`end` = 0) or upper (`end` = 1) end of their band. If the slip layer was fitted to a
+        trial line, a fit with this other friction would have given another layer. The friction of all parts is
+        therefore multiplied by one factor, so that the mean pressure due to friction at the gauges stays the same.
         """
 
         def changed(x: Loss) -> float:

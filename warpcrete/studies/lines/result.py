@@ -1,4 +1,4 @@
-"""Result for a pump line as a record, a table and text."""
+"""Result for a pump line, as an object, a record for line.json, a table and text."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class LineResult(LinePressures):
     took: dict[str, float] = field(default_factory=dict)
     """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Plausibility checks that simulations failed, with what they found; the keys are the names of the run folders."""
+    """Failed plausibility checks with the values that they found, by the name of the run folder."""
     band_origin: str = ""
     """Origin of the uncertainty band of the slip layer, a key of :data:`COVERAGE`. The text is empty if the user chose
     the width of the band."""
@@ -145,14 +145,17 @@ class LineResult(LinePressures):
 
     @property
     def margin(self) -> PumpMargin | None:
-        """Comparison of the line's needs with the data sheet of its pump; None if the line names no pump."""
+        """Comparison of the pressure, flow and power of the line with the data sheet of its pump; None without one."""
         return (
             None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow, self.line.customary)
         )
 
     @functools.cached_property
     def restart_margin(self) -> RestartMargin | None:
-        """Comparison of the restart at full flow with the pump; None if the line names no pump, or does not stop."""
+        """Comparison of the pressure for a restart at full flow with the pressure of the pump.
+
+        The value is None if no pump is known, or if the line does not stop.
+        """
         pump, stop = self.line.pump, self.stop
         if pump is None or stop is None:
             return None
@@ -172,13 +175,13 @@ class LineResult(LinePressures):
 
     @property
     def _fast_restart(self) -> float:
-        """Upper end of the pressure that restarts the line [Pa], if the yield stress grows at the highest rate."""
+        """Upper end of the band of the restart pressure [Pa] for the highest published growth rate."""
         assert self.stop is not None
         assert self.stop.highest is not None
         return replace(self, stop=Stop(self.stop.rest, self.stop.highest)).restart(self.flow).high
 
     def _needed_pump(self) -> str:
-        """Return a sentence on the pressure that a pump must deliver to restart the line, if the line names no pump."""
+        """Return a sentence on the pressure that a pump must deliver to restart the line, for lines without a pump."""
         assert self.stop is not None
         us, high = self.line.customary, self.restart(self.flow).high
         text = "to restart the line at full flow even at the upper end of its band, a pump must deliver "
@@ -220,7 +223,7 @@ class LineResult(LinePressures):
 
     @property
     def coverage(self) -> str:
-        """Words that tell how often the uncertainty band contains the pressure; empty if the user chose its width."""
+        """Remark on how often the uncertainty band contains the true pressure; empty if the user chose its width."""
         if self.fit is not None:
             return WIDENED if self.fit.contradiction is not None else COVERAGE["fit"]
         return COVERAGE.get(self.band_origin, "")
@@ -239,11 +242,11 @@ class LineResult(LinePressures):
         return band_sentences(full(self), lambda cause: self._advice(cause, full), self.line.customary)
 
     def _advice(self, cause: str, band_of: Callable[[LineResult], Band]) -> str:
-        """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
+        """Return advice on how to reduce the uncertainty of a pressure that comes from one cause.
 
-        `band_of` returns the band [Pa] of the pressure that the advice is about. Only measurements that make this band
-        narrower are recommended. A cause that was fitted to a trial line needs no further measurement. If the layer
-        comes from an earlier fit, another fit helps only with more flows.
+        `band_of` returns the band of this pressure [Pa] for a result. A measurement is recommended only if it makes the
+        band clearly narrower; the advice then states the new band. A cause that was fitted to a trial line needs no
+        further measurement. If the layer comes from an earlier fit, another fit helps only with more flows.
         """
         if self.fit is not None and cause in ("slip layer", "bends"):
             return ""
@@ -271,7 +274,7 @@ class LineResult(LinePressures):
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         found += [f"part {x.part.number}: simulated as a fluid without stones, which may add to its friction, so that "
                   "its range stays; a measured 'factor' narrows it"
-                  for x in self.losses  # Leave out bores that were not simulated.
+                  for x in self.losses  # A bore that was not simulated has the friction of theory.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
             found.append("no concrete pump is known to deliver more than "
@@ -404,7 +407,10 @@ def _table(result: LineResult) -> list[str]:
 
 
 def _largest(suffices: Callable[[float], bool], limit: float) -> float:
-    """Return the largest number up to `limit` that `suffices`, by bisection; all smaller numbers suffice as well."""
+    """Return the largest number between 0 and `limit` for which `suffices` is true, by bisection.
+
+    If `suffices` is true for a number, it must be true for all smaller numbers.
+    """
     low, high = 0.0, limit
     if suffices(limit):
         return limit
@@ -415,7 +421,7 @@ def _largest(suffices: Callable[[float], bool], limit: float) -> float:
 
 
 def _assumed_growth(stop: Stop) -> str:
-    """Return words on the growth rates that the bands of a restart assume, or nothing if the user stated the rate."""
+    """Return a remark on the range of growth rates that the bands of a restart assume; empty if the rate was stated."""
     if stop.band is None:
         return ""
     low, high = stop.band

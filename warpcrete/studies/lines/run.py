@@ -61,18 +61,18 @@ def run_line(
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
 
     By default, :func:`line_by_theory` computes the answer. With `simulate`, each kind of part is simulated once,
-    without weight. A straight pipe is simulated as a periodic one. A bend or reducer is simulated between two straight
-    stretches, whose friction is subtracted, with `cells` cells across the narrowest bore. If `unless_known` is set as
-    well, only bends and reducers that are sharper than all bends and reducers of earlier simulations are simulated. The
-    friction of all other parts, including bores from meshes, then follows as in :func:`line_by_theory`.
+    without gravity. A straight pipe is simulated with periodic ends. A bend or reducer is simulated between two
+    straight pipes, whose friction is subtracted, with `cells` cells across the narrowest bore. With `unless_known`,
+    only bends and reducers that are sharper than those in the table of earlier simulations are simulated, and the
+    friction of all other parts, including bores from meshes, comes from :func:`line_by_theory`.
 
-    The pressure has an uncertainty band. Its causes are the model errors of fittings, and either a factor
-    `layer_factor` on the resistance of the slip layer or, if `variants` is given, its pairs of concretes (see
-    :attr:`warpcrete.mix.mix.Mix.variants`; `band_origin` then comes from the mix as well). With a `stop`, the result
-    includes the pressure that starts the line again after the pump has rested.
+    The pressure has an uncertainty band with two causes: the model errors of fittings, and the concrete. The
+    uncertainty of the concrete is either the factor `layer_factor` by which the resistance of the slip layer may be
+    wrong, or, if given, the pairs of concretes in `variants` with their origin `band_origin` (see
+    :attr:`warpcrete.mix.mix.Mix.variants`). With a `stop`, the result includes the pressure that restarts the line.
 
-    Runs are stored in the folder `out`. It must be new, or be locked by
-    :func:`warpcrete.studies.lines.line_folder.line_folder`; in the latter case, interrupted runs continue. Finished
+    Runs are stored in the folder `out`, which must be new or locked by
+    :func:`warpcrete.studies.lines.line_folder.line_folder`. In a locked folder, interrupted runs continue. Finished
     runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an impossible flow or
     setting.
 
@@ -159,7 +159,7 @@ def run_line(
 
 
 def _failure(check: str, found: str) -> str:
-    """Return the finding of a failed check, with the option of `warpcrete line` that may mend the failure."""
+    """Return what a failed check has found, and the option of `warpcrete line` that may correct it, as text."""
     text = f"{check}: {found.split(CURE)[0]}"
     return f"{text}{CURE}{LINE_CURES[check]}" if check in LINE_CURES else text
 
@@ -185,7 +185,11 @@ def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> t
 
 
 def _loss_from_run(part: Part, result: Mapping[str, Any]) -> float:
-    """Return the friction from a part's simulation: of a bend or reducer [Pa], or per metre of straight pipe [Pa/m]."""
+    """Return the friction from the result of a part's simulation.
+
+    For a straight pipe or a hose, this is the friction per metre [Pa/m]. For a bend, reducer or bore, it is the
+    friction of the whole part [Pa].
+    """
     if part.is_by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)

@@ -48,11 +48,11 @@ class TapModel:
         return np.array(found)
 
     def _course(self, flow: float, constants: np.ndarray) -> tuple[list[float], list[float]]:
-        """Return the pressure loss of each part at a `flow` [m3/s], and the pressures at the ends of the parts [Pa].
+        """Return the pressure loss of each part at a `flow` [m3/s], and the pressures along the line [Pa].
 
-        The first of these pressures is the pressure at the start of the line. A bend whose factor is fitted has the
-        friction of straight pipe, multiplied by the third of the `constants`. All other parts have the same friction as
-        in the calculation of a line without a fit.
+        The pressures are those at the start of the line and at the end of each part, shape (parts + 1,). The friction
+        of a bend whose factor is fitted is the friction of straight pipe, multiplied by `constants[2]`. The friction of
+        all other parts is calculated as for a line without a fit.
         """
         eta, tau, factor = (float(each) for each in constants)
         concrete = replace(self.concrete, slip_viscosity=eta, slip_yield=tau)
@@ -79,15 +79,15 @@ class TapModel:
 
 
 def _kind(part: Part) -> tuple[float, float, float]:
-    """Return the properties of a part on which its friction per metre of straight pipe depends."""
+    """Return a key of the part: the properties that determine the friction of a metre of such pipe."""
     return part.diameter, part.outlet, part.layer
 
 
 def metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> TapModel:
-    """Return a model of one metre of level pipe at the mean flow of the taps.
+    """Return a model of one metre of level pipe with a single tap, at the mean flow of the measured pressures.
 
-    The pipe has the diameter in which the concrete loses most of its pressure by friction. The gauges determine the
-    friction in this diameter, but not the friction of a short wide pipe at the pump.
+    The pipe has the diameter of the line in which the concrete loses most of its pressure by friction, because the
+    gauges mainly measure the friction in this diameter.
     """
     flow = float(np.mean([tap.flow for tap in taps]))
     losses: dict[float, float] = {}

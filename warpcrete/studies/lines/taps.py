@@ -25,7 +25,7 @@ distinguish the yield stress of the slip layer from its viscosity."""
 
 @dataclass(frozen=True)
 class Tap:
-    """Pressure that was measured at one place of a trial line."""
+    """Reading of a gauge at one place of a trial line."""
 
     place: float
     """Distance along the line from the pump to the place of the measurement [m]."""
@@ -34,7 +34,7 @@ class Tap:
     flow: float
     """Volume flow in the line at which the pressure was measured [m3/s]."""
     row: int
-    """Number of the text line from which the pressure was read in the file of measurements, for messages."""
+    """Line number of the reading in the file of measurements, for messages."""
 
 
 def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
@@ -91,7 +91,8 @@ def _columns(path: Path) -> tuple[dict[str, tuple[int, str]], list[tuple[int, li
     columns, rows = read_columns(path, "fit")
     if "distance" in columns:
         if "place" in columns:
-            refuse("fit", str(path), "has the columns 'place' and 'distance', which mean the same", "leave out one")
+            problem = "has both a column 'place' and a column 'distance', which mean the same"
+            refuse("fit", str(path), problem, "leave out one of the two columns")
         columns["place"] = columns.pop("distance")
     used = {name: column for name, column in columns.items() if name in COLUMNS}
     places = [place for place, _ in used.values()]
@@ -108,5 +109,5 @@ def at_one_flow(taps: Sequence[Tap]) -> bool:
 
 
 def is_free(part: Part) -> bool:
-    """Return True for a bend whose friction factor is fitted because the line's file states none."""
+    """Return whether a part is a bend whose friction factor can be fitted, because the line's file states none."""
     return part.kind == "bend" and part.factor is None

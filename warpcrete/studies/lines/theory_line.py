@@ -47,15 +47,13 @@ def line_by_theory(
     The pressure of straight pipe follows from the closed form. For bends and reducers, the pressure of straight pipe is
     multiplied by factors from earlier simulations.
 
-    The uncertainty band has two causes:
-
-    - the error of these factors,
-    - the concrete: the resistance of the slip layer is multiplied and divided by `layer_factor`, or the pairs of
-      concretes in `variants` are used; `band_origin` then tells where the mix's band comes from.
+    The uncertainty band has two causes: the error of these factors, and the concrete. The uncertainty of the concrete
+    is either the factor `layer_factor` by which the resistance of the slip layer may be wrong, or, if given, the pairs
+    of concretes in `variants` with their origin `band_origin` (see :attr:`warpcrete.mix.mix.Mix.variants`).
 
     With a `stop`, the result includes the pressures that restart the line. If `line` and `concrete` come from a fit to
-    measured pressures, `fit` is this fit, which the report then describes. With a folder `out`, the result is written
-    there. Raises :class:`SceneError` for an impossible flow or setting.
+    measured pressures, `fit` is this fit, so that the report can describe it. With a folder `out`, the result is
+    written there. Raises :class:`SceneError` for an impossible flow or setting.
     """
     check_settings(flow, layer_factor)
     losses = []
@@ -80,6 +78,6 @@ def write_result(result: LineResult, out: Path) -> None:
 
 
 def write_lines(lines: Sequence[str], out: Path) -> None:
-    """Write lines of text to the file line.md in the folder of a line; they replace its earlier text."""
+    """Write lines of text to the file line.md in the folder of a line, and replace the earlier contents of the file."""
     with atomic_file(out / "line.md") as partial:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -21,7 +21,7 @@ Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
 
 @dataclass(frozen=True)
 class Row:
-    """Parameter that the paper varies while all others stay fixed, with the paper's claim about its effect."""
+    """Variation of one parameter in a paper, with the paper's claim about its effect; a row of the report."""
 
     name: str
     """Name of the parameter variation in the report and in the option `--only`."""
@@ -42,7 +42,10 @@ class Row:
 
     @property
     def is_hydrated(self) -> bool:
-        """True if the varied parameter describes hydrated bonds, the stiffer of two kinds of bonds between elements."""
+        """True if the varied parameter is a property of hydrated bonds.
+
+        Hydrated bonds are the stiffer of the two kinds of bonds between elements in the model of Zhan et al.
+        """
         return self.parameter.startswith("hydration")
 
     @property
@@ -78,10 +81,9 @@ def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[
 
 
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether the narrowest pipe needs a far higher pressure than all pipes from the third diameter on.
+    """Return whether wide pipes need nearly equal pressures and the narrowest pipe a far higher one, and a short text.
 
-    The pressures from the third diameter on must also be nearly equal. The second result is a short text on the
-    pressures.
+    `values` holds the diameters [m], from the narrowest pipe on. Pipes count as wide from the third diameter on.
     """
     level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
@@ -169,7 +171,7 @@ COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 
 
 def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
-    """Return the scene parameters of Zhan's pipe unit D (bend to vertical) at one value of a varied parameter."""
+    """Return the scene parameters of pipe unit D (bend to vertical) with the parameter of `row` set to `value`."""
     case: dict[str, Any] = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
     case |= dict(row.base) | {row.parameter: value}
     if row.parameter == "size_max":
@@ -178,15 +180,19 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
 
 
 def column_parameters(name: str) -> dict[str, Any]:
-    """Return the scene parameters of the concrete whose results stand in one column of the report.
+    """Return the scene parameters that all runs in one column of the report have in common.
 
-    `name` is one of the named concretes, or an open assumption, which is combined with the calibrated concrete.
+    `name` is the name of the column: one of `CONCRETES`, or one of `OPEN_ASSUMPTIONS`, whose parameters are added to
+    those of the calibrated concrete.
     """
     return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN_ASSUMPTIONS[name][0]}
 
 
 def rows_of(name: str) -> tuple[str, ...]:
-    """Return the names of the groups of runs in a column of the report: pipe units and parameter variations."""
+    """Return the names of the rows of the report for which the runs of one column are made.
+
+    `name` is the name of the column. The rows are the group of the four pipe units, and the parameter variations.
+    """
     return OPEN_ASSUMPTIONS[name][1] if name in OPEN_ASSUMPTIONS else (UNITS_ROW, *(row.name for row in ZHAN))
 
 
@@ -205,7 +211,7 @@ The closed form in the same paper gives 9.43e3 Pa and 0.186 m/s."""
 
 
 def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
-    """Return, for each group of the cases of Xu, Li & Jiang (2021), the scenes and parameters of the cases.
+    """Return the cases of Xu, Li & Jiang (2021), by the name of their group, as pairs of a scene and its parameters.
 
     The paper computes flow between planes (scene `channel`); the cases in a round pipe (scene `tube`) are an addition.
     """

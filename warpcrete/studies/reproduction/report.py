@@ -67,7 +67,7 @@ def _plain(result: Mapping[str, Any]) -> dict[str, float]:
 
 
 def columns_with_results(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
-    """Return the names of the report columns that have results; a column is a concrete or an open assumption."""
+    """Return those of the `names` of columns for which at least one run has a result."""
     return [name for name in names
             if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)]  # fmt: skip
 
@@ -120,7 +120,10 @@ def _units(found: Reproduction) -> Iterator[str]:
 
 
 def _open(found: Reproduction) -> Iterator[str]:
-    """Yield the report's section on the results with assumptions about details that the paper leaves open."""
+    """Yield the lines of the report's section on details that the paper leaves open.
+
+    The section shows how the results change with other assumptions about these details.
+    """
     names = columns_with_results(found, OPEN_ASSUMPTIONS)
     if not names:
         return
@@ -156,9 +159,9 @@ def _pair(peaks: list[float], ends: list[float]) -> str:
 
 
 def _with_scatter(values: list[float]) -> str:
-    """Return the mean of the pressures of all seeds [kPa] as text, with the standard deviation for two or more seeds.
+    """Return the mean over the seeds of pressures [Pa] as text in kPa, or a dash if there are no pressures.
 
-    Without values the text is a dash.
+    For two or more seeds, the text also contains the standard deviation.
     """
     if not values:
         return "-"

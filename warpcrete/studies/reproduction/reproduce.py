@@ -44,12 +44,12 @@ def reproduce(
     """Run the cases of a paper, `zhan` (discrete elements) or `xu` (flows), and write to the new folder `out`.
 
     `quick` replaces clumps by coarse spheres and runs fewer cases. `seeds` is the number of seeds for each case of
-    discrete elements. `only` is a list of names that selects the runs for Zhan et al. The report on this paper has a
-    column for each concrete and for each assumption that the paper leaves open, and a row for each pipe unit and each
-    varied parameter. A case is run if `only` names its column and its row. If `only` names no column, all columns count
-    as named; if it names no row, all rows count as named. `known` lists folders of earlier reproductions whose results
-    are reused. Raises :class:`SceneError` for an unknown paper or name, and :class:`RunFolderError` for a folder
-    without results.
+    discrete elements. `only` restricts the runs for Zhan et al. to some columns and rows of the report, by name
+    (:func:`names_of_parts`). The columns are the concretes and the assumptions about details that the paper leaves
+    open; the rows are the pipe units, as one group, and the varied parameters. Without names of columns, the runs of
+    all columns are made, and without names of rows, those of all rows. `known` lists folders of earlier reproductions
+    whose results are reused. Raises :class:`SceneError` for an unknown paper or name, and :class:`RunFolderError` for a
+    folder without results.
     """
     one_of("paper", paper, PAPERS)
     if not 1 <= seeds <= MAX_CASES:
@@ -113,13 +113,12 @@ def names_of_parts() -> list[str]:
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the columns and rows of the report on Zhan et al. that `only` names.
+    """Split the names in `only` into columns and rows of the report on Zhan et al.; an empty list stands for all.
 
-    Columns stand for concretes and for alternatives to uncertain assumptions. Rows are the pipe units and the varied
-    parameters. An empty list of columns or rows stands for all of them.
+    Raises :class:`SceneError` for an unknown name, for another paper, and if the names select no runs.
     """
     if only and paper != "zhan":
-        refuse("only", list(only), "has an effect for the paper zhan only", "leave out 'only'")
+        refuse("only", list(only), f"has no effect for the paper {paper!r}, only for 'zhan'", "leave out 'only'")
     known = names_of_parts()
     only = [spelled(name, known) for name in only]
     for name in only:
@@ -127,7 +126,8 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     columns = [name for name in (*CONCRETES, *OPEN_ASSUMPTIONS) if name in only]
     rows = [name for name in known if name in only and name not in columns]
     if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
-        refuse("only", list(only), "selects no runs", f"combine {columns[0]} with {', '.join(rows_of(columns[0]))}")
+        hint = f"combine {columns[0]!r} with one of {', '.join(rows_of(columns[0]))}"
+        refuse("only", list(only), "selects no runs, because the column has no results in this row", hint)
     return columns, rows
 
 
@@ -139,7 +139,7 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
         )
     record = read_record(folder / RECORD)
     if (record.get("paper"), record.get("quick")) != (paper, quick):
-        refuse("known", str(folder), "contains results of "
+        refuse("known", str(folder), "cannot be used, because it contains results of "
                f"'warpcrete reproduce {record.get('paper')}{' --quick' if record.get('quick') else ''}'",
                f"give a folder of 'warpcrete reproduce {paper}{' --quick' if quick else ''}'")  # fmt: skip
     return read_json(folder / "results.json")["results"]
@@ -153,8 +153,8 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
-    # Only the concretes in `HYDRATED` are by default run with hydrated bonds. If the user named both columns and rows,
-    # run every named concrete with hydrated bonds; the named rows then decide whether there are such cases.
+    # The concretes in `HYDRATED` are run with hydrated bonds by default. If the user named both columns and rows,
+    # every named concrete is run with hydrated bonds, provided that a named row varies them.
     if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]
@@ -162,11 +162,10 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
 
 
 def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
-    """Return the parameters of all runs in one column of the report that have no result yet, for all seeds.
+    """Return the parameters of the runs in one column of the report that have no result yet, for all seeds.
 
-    A column stands for a concrete, or for an alternative to an uncertain assumption. With `hydrated`, the result
-    contains the runs in which a parameter of hydrated bonds varies. Without it, the result contains the runs of the
-    pipe units and those in which another parameter varies.
+    `name` is the name of the column. If `hydrated` is True, these are the runs in which a property of hydrated bonds
+    varies. Otherwise, they are the runs of the pipe units, and the runs in which another parameter varies.
     """
     asked = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
     units = [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
@@ -214,7 +213,7 @@ def _run(
     if (folder / "study.json").is_file():
         return resume_study(folder, module, processes=processes, progress=tell)
     same: dict[str, list[Mapping[str, Any]]] = {}
-    for case in cases:  # several variations contain the reference case: run it once
+    for case in cases:  # Run equal cases only once. The reference case, for example, belongs to several variations.
         same.setdefault(repr(module.scene.declared(_effective_parameters(module, case))), []).append(case)
     first = [_effective_parameters(module, loss_key[0]) for loss_key in same.values()]
     listed = [Case(f"{place + 1:03d}", each, each) for place, each in enumerate(first)]
@@ -225,7 +224,7 @@ def _run(
 
 
 def _effective_parameters(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
-    """Return only those parameters of a case that affect its results; the seed, for example, does not affect a flow."""
+    """Return those parameters of a case that affect its results. The seed, for example, does not affect a flow."""
     return module.scene.effective_values(case)
 
 

@@ -22,13 +22,13 @@ class Reproduction:
     seeds: int
     device: str | None
     columns: tuple[str, ...] = ()
-    """Columns of the report whose runs are made: concretes, and assumptions that the paper leaves open. An empty tuple
-    stands for all of them."""
+    """Names of the report's columns for which runs are made; an empty tuple stands for all columns. A column is a
+    concrete, or an assumption about a detail that the paper leaves open."""
     rows: tuple[str, ...] = ()
-    """Names of the groups of runs to make with the concrete or assumption of each column of the report.
+    """Names of the report's rows for which runs are made; an empty tuple stands for all rows.
 
-    The group `units` contains the runs of the paper's four pipe units: a vertical pipe, a horizontal pipe and two
-    bends. Each other group is a :class:`Row`, in which one parameter varies. An empty tuple stands for all groups.
+    The row `units` stands for the runs of the paper's four pipe units: a vertical pipe, a horizontal pipe and two
+    bends. Each other name stands for a :class:`Row`, in which one parameter varies.
     """
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
@@ -68,9 +68,9 @@ def unit_case(unit: str, quick: bool) -> dict[str, Any]:
 
 
 def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
-    """Return the peak pressures [Pa] at each value of a varied parameter, one for every seed that has a result.
+    """Return the peak pressures [Pa] for each value of a varied parameter, as a list with one entry for each seed.
 
-    `name` is a column heading of the report's tables, such as "calibrated". Each column is a concrete.
+    Seeds without a result are left out. `name` is the name of a column of the report, such as "calibrated".
     """
     group = f"{name}, hydrated" if row.is_hydrated else name
     return [found.values(group, {**zhan_case(row, value, found.quick), **column_parameters(name)}, "peak_pressure")
@@ -78,10 +78,10 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
 
 
 def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
-    """Return the mean peak pressure [Pa] at each value of a varied parameter, and a verdict in words.
+    """Return the mean peak pressure [Pa] for each value of a varied parameter, and a verdict in words.
 
-    The mean pressure is NaN for values at which no run has a result. The verdict states whether the paper's claim about
-    the parameter holds. It is empty if no run has a result.
+    The mean pressure is NaN for values without a result. The verdict states whether the paper's claim about the
+    parameter holds; it is empty if no run has a result. `name` is the name of a column of the report.
     """
     means = [float(np.mean(values)) if values else math.nan for values in pressures(found, row, name)]
     there = [k for k, mean in enumerate(means) if math.isfinite(mean)]
