@@ -214,7 +214,8 @@ class AggregateParameters(Declared):
                    "'aggregate_largest'")  # fmt: skip
         name = "aggregate_largest" if self.aggregate_sizes == UNIFORM else "aggregate_sizes"
         value = self.coarsest if name == "aggregate_largest" else self.aggregate_sizes
-        refuse(name, value, f"is too large: {why}", f"use aggregates of {at_most(limit, 2)} m or less")
+        hint = f"use {at_most(limit, 2)} m or less"
+        refuse(name, value, f"is too large: {why}", hint if value == self.coarsest else f"{hint} as the largest size")
 
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""
