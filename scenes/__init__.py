@@ -7,13 +7,13 @@ it::
     run = warpcrete.Simulation(warpcrete.scenes.slump(yield_stress=80)).run()
 """
 
-# Every file in this folder is a scene. The function `modules` finds it under the file's name, with hyphens instead of
-# underscores. Three names in the file define the scene: the function `scene` builds it, the function `check` judges its
-# runs, and `trading` holds the settings that trade its accuracy for run time. If both a flow and discrete elements can
-# simulate a test, there are two scenes, NAME and NAME-dem. The scene NAME-dem has a file of its own, NAME_dem.py.
-# Otherwise, the file of NAME defines both scenes, and the names for NAME-dem are `scene_dem`, `check_dem` and
-# `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and `mps`, and never what runs or
-# records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test for both methods in one file.
+# Every file in this folder is a scene. Its name is the file's name, with hyphens instead of underscores. Three names in
+# the file define the scene: the function `scene` builds it, the function `check` judges its runs, and `trading` holds
+# the settings that trade its accuracy for run time. If both a flow and discrete elements can simulate a test, there are
+# two scenes, NAME and NAME-dem. The scene NAME-dem has a file of its own, NAME_dem.py, or else the file of NAME defines
+# both scenes, with the names `scene_dem`, `check_dem` and `trading_dem` for NAME-dem. Scenes import `core`, `geometry`,
+# `theory`, `standards`, `dem` and `mps`, but no module that runs or records scenes. Readers of the code start with
+# `slump.py`, a complete scene in one file, or with `lcpc.py`, a test for both methods in one file.
 
 import importlib
 import pkgutil
@@ -64,10 +64,10 @@ def modules() -> dict[str, ModuleType]:
 
 
 def _second(file: ModuleType) -> ModuleType:
-    """Return a module for the discrete element scene in a file that also holds the scene of a flow.
+    """Return a module for the scene NAME-dem, if the file of NAME defines both the flow and the discrete elements.
 
-    The module is like the modules of other scenes. It can be imported as NAME_dem, because worker processes of studies
-    import scenes by name.
+    The module has the members `scene`, `check` and `trading`, like the modules of other scenes. It can be imported as
+    NAME_dem, because worker processes of studies import scenes by name.
     """
     name = f"{file.__name__}_dem"
     if name not in sys.modules:
@@ -80,11 +80,10 @@ def _second(file: ModuleType) -> ModuleType:
 
 
 def methods(name: str) -> dict[str, str]:
-    """Return the simulation methods, each one of METHODS, for the test that scene `name` simulates.
+    """Return the scenes that simulate the same test as scene `name`, by simulation method (a name in METHODS).
 
-    The values are the names of the scenes that simulate it. If several methods can simulate a test, the scene of
-    discrete elements has the suffix "-dem". A flow and a suspension are the same scene; `suspended` returns the
-    parameters that make it a suspension.
+    If several methods can simulate a test, the name of the scene of discrete elements ends in "-dem". A flow and a
+    suspension are the same scene; `suspended` returns the parameters that make it a suspension.
     """
     plain = name.removesuffix("-dem")
     found = {METHODS[name.endswith("-dem")]: name for name in modules() if name.removesuffix("-dem") == plain}
@@ -96,7 +95,7 @@ def methods(name: str) -> dict[str, str]:
 
 
 def by_method(name: str, method: str) -> str:
-    """Return the name of the scene that simulates the same test as scene `name` by a `method`, one of METHODS.
+    """Return the name of the scene that simulates the same test as scene `name` with another `method` in METHODS.
 
     Raises :class:`warpcrete.SceneError` if there is no such scene.
     """
@@ -109,9 +108,9 @@ def by_method(name: str, method: str) -> str:
 
 
 def suspended(name: str, bend: bool = True) -> dict[str, Any]:
-    """Return the parameters of the suspension that simulates the same test as scene `name` (see `by_method`).
+    """Return the parameters with which the scene `by_method(name, "suspension")` is simulated as a suspension.
 
-    `bend` states whether the user asks for a pipe with a bend.
+    `bend` is True if the user wants a pipe with a bend.
     """
     target = by_method(name, "suspension")
     of_pipe = PIPE_AS_PART | (BEND_AS_PART if bend else {})

@@ -22,8 +22,9 @@ def scene(parameters: ColumnWithAggregates) -> FluidScene | StretchScene:
     The defaults are the case of Xu, Li & Jiang (2021): planes 10 cm apart and a column 30 cm high. As in that paper,
     the piston's speed is flow / (pi R^2), where R is half the distance between the planes.
 
-    With `aggregate_fraction` and without `aggregates`, a stretch of an endless channel is simulated on a grid in space,
-    in which aggregates move in the mortar as rigid bodies. The driving force keeps the mean velocity constant.
+    If `aggregate_fraction` is set but `aggregates` is not, the simulation uses a three-dimensional grid: aggregates
+    move as rigid bodies in mortar through a stretch of an endless channel. The driving force keeps the mean velocity
+    constant.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated, and if nothing would flow.
     """

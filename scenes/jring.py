@@ -40,7 +40,9 @@ In test runs of this scene the errors reached 0.006, with cells of 12 mm. Withou
 class Ring:
     """Dimensions of the J-ring, a ring of bars; defaults follow EN 12350-12."""
 
-    bars: Annotated[int, "Number of bars of the ring; 16 leave gaps of 41 mm, 12 of 59 mm", Within(3)] = 16
+    bars: Annotated[
+        int, "Number of bars of the ring; the gaps are 41 mm wide with 16 bars, 59 mm with 12", Within(3)
+    ] = 16
     bar_diameter: Annotated[float, "Diameter of the bars [m]", Above()] = 0.018
     ring_diameter: Annotated[float, "Diameter of the circle through the axes of the bars [m]", Above()] = 0.3
     ring_height: Annotated[float, "Height of the bars [m]", Above()] = 0.125

@@ -102,10 +102,12 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
         Above()
     ] = 1.0  # fmt: skip
     line: Annotated[str | None, "File or name of a pump line, which replaces the parameters above. It also sets "
-        "flow and concrete, unless you give them. The line must begin and end with a straight part",
+        "flow and concrete, unless you state them. The line must begin and end with a straight part",
                     FileIf(is_file)] = None  # fmt: skip
     flow: Annotated[float, "Volume flow [m3/s]", Above()] = FLOW
-    spacing: Annotated[float, "Edge length of the cells [m], rounded so that it divides the radius", Above()] = 0.01
+    spacing: Annotated[
+        float, "Edge length of the cells [m], adjusted so that a whole number fits into the radius", Above()
+    ] = 0.01
 
 
 NARROW_CELLS = 11
@@ -187,8 +189,8 @@ def _unit(given: PartParameters) -> _PipeCourse:
 def _check_wall(given: PartParameters) -> None:
     """Raise :class:`SceneError` for parameters that cannot be combined with a pipe wall from a mesh file."""
     if given.outlet_diameter is not None:
-        problem = "has no effect together with 'wall', because the mesh has its own outlet"
-        refuse("outlet_diameter", given.outlet_diameter, problem, "leave it out")
+        problem = "cannot be combined with 'wall', because the mesh has its own outlet"
+        refuse("outlet_diameter", given.outlet_diameter, problem, "leave out 'outlet_diameter'")
     if given.slip_thickness > 0:
         hint = "set 'slip_thickness' to 0, and narrow the bore of the mesh by the thickness instead"
         refuse("slip_thickness", given.slip_thickness, "cannot be combined with 'wall'", hint)
@@ -205,7 +207,7 @@ def _mesh(given: PartParameters) -> _PipeCourse:
     if abs(bore.ends[0] / given.diameter - 1) > DIAMETER_TOLERANCE:
         problem = f"differs from the diameter of the mesh at its start, {bore.ends[0]:.4g} m"
         unit = scale_hint("wall_scale", given.wall_scale, bore.ends[0], given.diameter)
-        refuse("diameter", given.diameter, problem, unit or "leave it out")
+        refuse("diameter", given.diameter, problem, unit or "leave out 'diameter'")
     check_velocity("flow", given.flow, given.flow / (math.pi * min(bore.radii) ** 2))
     inner = bore.axis
     begin, end = given.straight, given.straight + inner.length
@@ -218,7 +220,7 @@ def _mesh(given: PartParameters) -> _PipeCourse:
     spans = [(given.straight, 2 * wide, 2), (inner.length, 2 * wide, 2 + int(inner.length / wide)),
              (given.straight, 2 * wide, 2)]  # fmt: skip
     if first_crossing(axis, spans, gap) is not None:
-        problem = f"leads the pipe back to within {gap:.3g} m of itself"
+        problem = f"bends so far that the pipe comes within {gap:.3g} m of itself"
         refuse("wall", given.wall, problem, "reduce 'spacing' or 'straight', or shorten the bore of the mesh")
     bores = Bores((0.0,), (given.diameter / 2,))
     check_return(axis, Bores((0.0,), (wide,)), aside=INLET_RADIUS * wide + gap)

@@ -130,8 +130,8 @@ def _check_aggregates(given: SlumpParameters) -> None:
     top = given.top_diameter / 2
     given.check_largest(MAX_PART * top, f"a quarter of the cone is simulated, whose top is {top:g} m wide")
     if given.lift_time and given.precision == "float32":
-        refuse("precision", given.precision, "is too low for aggregates in a mould: the mould holds the mortar "
-               "back, which then hardly deforms, so that the solve does not converge",
+        refuse("precision", given.precision, "is too low for aggregates in a mould: mortar in a mould hardly deforms, "
+               "so the solve does not converge in single precision",
                "use 'precision' float64, or 'lift_time' = 0")  # fmt: skip
 
 

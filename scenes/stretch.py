@@ -26,7 +26,9 @@ class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings
     """Dimensions of the stretch, and the pressure gradient in it."""
 
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above()] = 0.1
-    length: Annotated[float, "Length of the stretch [m]: at least three aggregates", Above()] = 0.1
+    length: Annotated[
+        float, "Length of the stretch [m], at least three diameters of the largest aggregate", Above()
+    ] = 0.1
     gradient: Annotated[
         float,
         "Pressure gradient that drives the flow, in addition to that of the weight of mortar and aggregates [Pa/m]",
@@ -34,11 +36,13 @@ class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings
     ] = 2e4
     surfaces: Annotated[str, "Condition on the wall: mortar sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
-    spacing: Annotated[float, "Edge length of the cells [m], rounded so that it divides the radius", Above()] = 4e-3
+    spacing: Annotated[
+        float, "Edge length of the cells [m], adjusted so that a whole number fits into the radius", Above()
+    ] = 4e-3
     aggregate_fraction: Annotated[
         float,
-        "Volume fraction of the aggregates, which are rigid spheres in the mortar; the constants of the concrete are "
-        "those of the mortar between them",
+        "Volume fraction of the aggregates, which are rigid bodies in mortar; the constants of the concrete describe "
+        "the mortar",
         Within(0, MAX_FRACTION),
     ] = 0.2
 
@@ -55,7 +59,7 @@ def scene(parameters: StretchParameters) -> StretchScene:
     """
     given = parameters
     if given.slip_thickness:
-        problem = "must be 0, because the cells represent the whole pipe"
+        problem = "must be 0, because the slip layer in this scene has no thickness"
         refuse("slip_thickness", given.slip_thickness, problem, "reduce 'diameter' by twice the thickness instead")
     concrete = given.make_concrete(given.surfaces == "slips")
     if given.surfaces == "sticks":

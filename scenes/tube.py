@@ -18,7 +18,7 @@ class TubeParameters(ColumnWithAggregates):
     """Parameters of a concrete column in a round pipe."""
 
     spacing: Annotated[
-        float, "Spacing of particles, or width of cells with aggregates [m], rounded so that it divides the radius"
+        float, "Particle spacing or cell width [m], adjusted so that a whole number fits into the radius"
     ] = 10e-3
 
 
@@ -26,8 +26,8 @@ class TubeParameters(ColumnWithAggregates):
 def scene(parameters: TubeParameters) -> FluidScene | StretchScene:
     """Model concrete that a piston drives up a round pipe, by implicit moving particles (MPS) in three dimensions.
 
-    With `aggregate_fraction` and without `aggregates`, a stretch of an endless pipe is simulated on a grid, in which
-    aggregates move in the mortar as rigid bodies. The driving force keeps the flow constant.
+    If `aggregate_fraction` is set but `aggregates` is not, the simulation uses a three-dimensional grid: aggregates
+    move as rigid bodies in mortar through a stretch of an endless pipe. The driving force keeps the flow rate constant.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated, and if nothing would flow.
     """

@@ -1,4 +1,4 @@
-"""List of all simulation methods; the type of a scene selects the method that simulates it."""
+"""List of the simulation methods. The type of a scene selects the method that simulates it."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ METHODS: tuple[Method, ...] = (
 
 
 def method_of(scene: Any) -> Method:
-    """Return the simulation method of a scene; raises :class:`SceneError` if no simulation method takes its type."""
+    """Return the simulation method for a scene; raise :class:`SceneError` if `scene` is not a scene."""
     for method in METHODS:
         if isinstance(scene, method.scene_type):
             return method

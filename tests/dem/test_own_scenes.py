@@ -155,7 +155,7 @@ def test_an_own_law_is_told_about_bonds_and_coats():
     class Other(Contact):
         pass
 
-    words = "bonds of mortar act beside the contact law; --no-bonds"
+    words = "bonds of mortar act in addition to the contact law; --no-bonds"
     for bonds in (True, False):
         remarks = warpcrete.scenes.pipe(contact=BinghamMortar(), bonds=bonds).remarks
         assert any(words in remark for remark in remarks) is bonds
@@ -187,7 +187,7 @@ class Pulling(Own):
 
 
 def test_an_energy_balance_that_fails_names_a_law_from_outside_of_the_package():
-    words = "or energy() and the losses of Own do not fit its force()"
+    words = "or energy() and the losses of Own are inconsistent with its force()"
     for law, told in ((Own(), True), (Contact(), False)):
         done = ElementRun(drop(contact=law), {}, {}, {"energy_balance_error": 0.02}, True)
         ((passed, found),) = energy_check(done).values()

@@ -208,7 +208,7 @@ def test_frames_turn_places_and_turn_them_back():
         ({"elbow_radius": 0.04}, "elbow radius = 0.04: must exceed"),
         (
             {"outlet_diameter": 0.08, "unit": "mesh", "wall": "x.stl", "diameter": 0.1},
-            "outlet_diameter = 0.08: has no effect together with 'wall'",
+            "outlet_diameter = 0.08: cannot be combined with 'wall'",
         ),
         ({"angle": 170.0}, "angle = 170"),
         ({"flow": 0.0}, "flow = 0.0"),
@@ -218,7 +218,7 @@ def test_frames_turn_places_and_turn_them_back():
         ({"slip_thickness": 0.06, "slip_viscosity": 900.0}, "slip_thickness = 0.06"),
         ({"flow": float("nan")}, "flow = nan"),
         ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': cannot be read"),
-        ({"unit": "horizontal", "outlet_diameter": 0.08, "wall": "x.stl"}, "has no effect together with 'wall'"),
+        ({"unit": "horizontal", "outlet_diameter": 0.08, "wall": "x.stl"}, "0.08: cannot be combined with 'wall'"),
     ],
 )
 def test_what_is_no_part_is_refused(given, words):

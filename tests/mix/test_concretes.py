@@ -129,7 +129,7 @@ def test_a_chain_of_bases_has_at_most_ten_files(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("elements: {friction: 0.1}", "must have a section 'flow'"),
+        ("elements: {friction: 0.1}", "must have a section 'mix' or 'flow'"),
         ("flow: {density: 2300, viscosity: 30}", "has no value for slip_viscosity, slip_yield, yield_stress"),
         ("flow: {density: heavy}", "concrete flow density = 'heavy': must be a number"),
         ("flow: {densty: 2300}", "concrete flow = 'densty': is an unknown parameter"),

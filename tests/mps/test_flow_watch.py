@@ -36,10 +36,10 @@ def row_of(scene, **changes):
         ({"pressure": -1e6}, r"the pressure on the piston is -1e\+06 Pa, but theory gives .*watch\.pressure = 10"),
         ({"pressure": 1e6}, r"watch\.pressure = 10"),
         ({"fastest": 5.0}, r"the fastest particle moves at 5 m/s, .*watch\.speed = 4"),
-        ({"force_balance_error": 0.25}, r"forces do not balance: 0\.25 of .*watch\.force_balance = 0\.2"),
-        ({"force_balance_error": -0.25}, r"forces do not balance: -0\.25 of"),
-        ({"force_balance_error": math.nan}, "forces do not balance: nan of"),
-        ({"volume_error": -0.02}, r"0\.02 of the volume was lost or gained; the limit is watch\.volume = 0\.015"),
+        ({"force_balance_error": 0.25}, r"the resultant is 0\.25 of .*watch\.force_balance = 0\.2"),
+        ({"force_balance_error": -0.25}, r"the resultant is -0\.25 of"),
+        ({"force_balance_error": math.nan}, "the resultant is nan of"),
+        ({"volume_error": -0.02}, r"has lost or gained 0\.02 of its volume; the limit is watch\.volume = 0\.015"),
     ],
 )
 def test_a_row_that_means_nothing_stops_the_flow(changes, words):

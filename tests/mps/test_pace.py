@@ -148,7 +148,7 @@ def test_what_it_refuses(given, text):
 
 
 def test_a_column_on_a_piston_has_equal_steps():
-    with pytest.raises(SceneError, match=r"step_error = 0\.001: needs cells of a grid.*set 'ends' to periodic"):
+    with pytest.raises(SceneError, match=r"step_error = 0\.001: needs a flow on a grid.*set 'ends' to periodic"):
         scenes.channel(step_error=1e-3, ends="piston")
     assert scenes.channel(step_error=1e-3, ends="periodic").step_error == 1e-3
 

@@ -136,7 +136,7 @@ def test_flows_that_never_rested_know_nothing_of_it(device):
 @pytest.mark.parametrize(
     "bad, message",
     [
-        (dict(ends="piston", rest=600.0), "rest = 600.0: needs cells of a grid"),
+        (dict(ends="piston", rest=600.0), "rest = 600.0: needs a flow on a grid"),
         (dict(ends="periodic", rest=-1.0), "rest = -1.0: must be"),
         (dict(ends="periodic", rest=math.nan), "rest = nan: must be"),
         (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: has no effect unless 'rest' is above 0"),
@@ -224,10 +224,10 @@ def test_steady_structure_bears_its_closed_form(device, name, power):
 @pytest.mark.parametrize(
     "bad, message",
     [
-        (dict(ends="piston", rebuild_rate=0.5), "rebuild_rate = 0.5: needs cells of a grid"),
+        (dict(ends="piston", rebuild_rate=0.5), "rebuild_rate = 0.5: needs a flow on a grid"),
         (dict(ends="periodic", rebuild_rate=-1.0), "rebuild_rate = -1.0: must be"),
         (dict(ends="periodic", breakdown=0.3), "breakdown = 0.3: has no effect unless 'rest' or 'rebuild_rate' is"),
-        (dict(aggregates=True, rebuild_rate=0.5), "rebuild_rate = 0.5: needs cells of a grid"),
+        (dict(aggregates=True, rebuild_rate=0.5), "rebuild_rate = 0.5: needs a flow on a grid"),
     ],
 )
 def test_structure_that_cannot_rebuild_is_refused_in_one_line(bad, message):

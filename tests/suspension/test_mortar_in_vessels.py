@@ -112,7 +112,7 @@ def test_a_fraction_that_finds_no_place_is_refused(device):
     simulation = warpcrete.Simulation(
         box(aggregate_fraction=0.3, aggregate_smallest=0.06, aggregate_largest=0.06), device=device
     )
-    with pytest.raises(warpcrete.SceneError, match=r"only \d+ of \d+ aggregates found a place"):
+    with pytest.raises(warpcrete.SceneError, match=r"only \d+ of \d+ aggregates could be placed"):
         simulation.begin()
 
 

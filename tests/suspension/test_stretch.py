@@ -178,7 +178,7 @@ def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
     """The step of a stretch follows from `courant`, and a run lasts for its whole duration."""
     simulation = stretch("cpu")
     with pytest.raises(
-        warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; usual cure: a smaller 'courant'$"
+        warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; the limit is 0.3; usual cure: a smaller"
     ):
         simulation.watch_row({"time": 1.0, "smallest_gap": -0.4})
     assert not simulation.may_end_early

@@ -222,7 +222,7 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
         "flow [m3/h],pressure [bar]\n20,2\n0,0\n"
     )
     assert "line 4: pressure = 'x bar': must be a number" in refused("flow [m3/h],pressure [bar]\n\n1,2\n2,x\n")
-    assert "which is impossible; check length" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
+    assert "but the viscosity must be above 0" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
     points.unlink()
     assert "cannot be read" in str(CliRunner().invoke(cli, given).exception)
 

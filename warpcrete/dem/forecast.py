@@ -298,8 +298,8 @@ class _ShortenedCopy:
         if bonded and min(bonded.values()) < 0.9 * alone:
             name = min(bonded, key=bonded.__getitem__)
             times = alone / bonded[name]
-            words.append(f"{name.removeprefix('contacts and ')}, which shorten the step {times:.3g} times compared "
-                         f"with contacts alone and account for {100 * (1 - 1 / times):.0f} % of the steps")  # fmt: skip
+            words.append(f"{name.removeprefix('contacts and ')}, which shorten the step to 1/{times:.3g} of that with "
+                         f"contacts alone, so {100 * (1 - 1 / times):.0f} % of the steps are due to them")  # fmt: skip
         else:
             words.append("contacts")
             undamped = found.get("contacts without dashpots", alone)

@@ -78,6 +78,8 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         with errors_located_at(given, key):
             if key not in KEYS and any(each in given for each in OF_CONCRETES):
                 hint = "give this file as --concrete, or as 'concrete' in the file of a line"
+                if "parts" in given:
+                    hint = "move it to a file of its own, and name this file as 'concrete', or use the option --slump"
                 refuse("line's key", key, "describes a concrete, not a line", hint)
             one_of("line's key", key, KEYS)
     entries = given.get("parts")

@@ -67,7 +67,9 @@ class ColumnParameters:
         float | None,
         "Pressure on the piston [Pa], instead of the flow; the speed of the piston then follows from theory",
     ] = None
-    spacing: Annotated[float, "Spacing of the particles [m]; the nearest spacing that divides the pipe is used"] = 5e-3
+    spacing: Annotated[
+        float, "Particle spacing [m]; adjusted so that a whole number of particles fits across the pipe"
+    ] = 5e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,25 +83,25 @@ class AggregateParameters:
     ] = False
     aggregate_fraction: Annotated[
         float | None,
-        "Volume fraction of the coarse aggregate; default: the concrete's gravel",
+        "Volume fraction of the coarse aggregate; default: the gravel content of the concrete",
         NEEDS_AGGREGATES,
     ] = None
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), NEEDS_AGGREGATES] = 2630.0
     inclusions: Annotated[
         str,
-        "Shape of the aggregate in the formula for the default constants of the mortar: discs, spheres, or auto "
-        "(discs in two dimensions, else spheres)",
+        "Shape that the formula for the default constants of the mortar assumes for aggregates: discs, spheres, or "
+        "auto (discs in two dimensions, spheres in three)",
         OneOf(("auto", *SUSPENSIONS)),
         NEEDS_AGGREGATES,
     ] = "auto"
     mortar_viscosity: Annotated[
         float | None,
-        "Plastic viscosity of the mortar [Pa s]; default: by homogenisation from that of the concrete",
+        "Plastic viscosity of the mortar [Pa s]; default: calculated from that of the concrete",
         NEEDS_AGGREGATES,
     ] = None
     mortar_yield: Annotated[
         float | None,
-        "Yield stress of the mortar [Pa]; default: by homogenisation from that of the concrete",
+        "Yield stress of the mortar [Pa]; default: calculated from that of the concrete",
         NEEDS_AGGREGATES,
     ] = None
 
@@ -110,9 +112,9 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     ends: Annotated[
         str,
-        "Ends of the pipe: piston (a column of particles with a free surface, on a piston), periodic (a stretch of "
-        "an endless pipe on a grid, for flows with any amount of shear), auto (piston with 'aggregates', or if "
-        "slip carries at least 0.9 of the flow by theory; else periodic)",
+        "Ends of the pipe: piston (a piston pushes a column of particles with a free surface), periodic (a stretch of "
+        "an endless pipe on a grid, for flows with any amount of shear), auto (piston with 'aggregates', or if by "
+        "theory the slip velocity is at least 0.9 of the mean velocity; otherwise periodic)",
         OneOf(("auto", *ENDS)),
     ] = "auto"
 
@@ -133,16 +135,16 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         """Return the concrete as one fluid, and its aggregate and mortar (None in a flow with one phase).
 
         `concrete` has the constants that the parameters state. If the parameters also state the viscosity or the yield
-        stress of the mortar, homogenisation computes that constant of the concrete from the mortar's, so that theory
-        describes the simulated concrete.
+        stress of the mortar, that constant of the concrete is replaced by the value that homogenisation gives for the
+        mortar with its aggregate, so that theory describes the simulated concrete.
         """
         fraction = self.aggregate_fraction
         if not self.aggregates or fraction == 0:
             return concrete, None
         if fraction is None:
             if self.concrete not in MIXES:
-                problem = "must be given for 'concrete' = own"
-                refuse("aggregate_fraction", None, problem, "for example 0.3, the share of the volume")
+                problem = f"must be stated, because concrete {self.concrete!r} has no known gravel content"
+                refuse("aggregate_fraction", None, problem, "for example 0.3, the volume fraction")
             fraction = MIXES[self.concrete]["gravel"] / self.aggregate_density
         by_dimension = "discs" if dimensions == 2 else "spheres"
         inclusions = self.inclusions if self.inclusions != "auto" else by_dimension
@@ -174,9 +176,9 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
         """Return the kind of the pipe's ends, "piston" or "periodic"; if `ends` is "auto", choose the one for the flow.
 
-        `flow` [m3/s] is the volume flow and `bulk` [m] the pipe's radius minus the slip layer. A column that a piston
-        drives along a wall to which the concrete sticks loses volume and force balance, so "piston" is chosen only for
-        flows with much slip, or with aggregates.
+        `flow` is the volume flow [m3/s], and `bulk` the pipe's radius minus the thickness of the slip layer [m]. If
+        concrete slips little, a column of particles on a piston loses volume, and its forces do not balance.
+        Therefore "piston" is chosen only for flows with much slip, or with aggregates.
         """
         if self.ends != "auto":
             return self.ends
@@ -188,9 +190,9 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
 
 def _slip_share(concrete: Concrete, given: FlowParameters, bulk: float, flow: float, dimensions: int) -> float:
-    """Return the slip velocity divided by the mean velocity, by theory.
+    """Return the theoretical slip velocity, divided by the mean velocity.
 
-    `flow` [m3/s] is the volume flow and `bulk` [m] the pipe's radius minus the slip layer.
+    `flow` is the volume flow [m3/s], and `bulk` the pipe's radius minus the thickness of the slip layer [m].
     """
     line = Line(radius=bulk, length=given.length, gravity=given.gravity)
     state = steady(concrete, line, flow, "plane" if dimensions == 2 else "pipe")
@@ -214,9 +216,9 @@ def column_scene(
     given = replace(given, ends=given.ends_for(concrete, bulk, flow, dimensions))
     check_velocity("flow", flow, flow / area)
     if aggregates is not None and (slip := _slip_share(concrete, given, bulk, flow, dimensions)) < MIN_SLIP_RATIO:
-        warn(f"aggregates: slip carries {100 * slip:.0f} % of the flow by theory, but a column of particles needs "
-             f"{100 * MIN_SLIP_RATIO:.0f} % to keep its volume and its balance of forces; leave out "
-             "'aggregates' to simulate one phase")  # fmt: skip
+        warn(f"aggregates: by theory, the slip velocity is {100 * slip:.0f} % of the mean velocity, but a column of "
+             f"particles needs {100 * MIN_SLIP_RATIO:.0f} % to keep its volume and its balance of forces; leave out "
+             "'aggregates' to simulate one phase on a grid")  # fmt: skip
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
     return FluidScene(
         name=name,
@@ -278,7 +280,7 @@ CURES = {
 
 
 def _cures(run: Run) -> dict[str, str]:
-    """Return the advice to the user for each check that a run may fail, by the name of the check.
+    """Return, by the name of each acceptance check, advice to the user if a run fails this check.
 
     The advice for a flow with aggregates does not mention the grid, on which such a flow cannot be simulated.
     """
@@ -293,7 +295,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     result, scene = run.result, run.scene
     two = scene.aggregates is not None
     if "pressure_error" not in result:
-        return {"finished": (False, "the run has no sample after the start")}
+        return {"finished": (False, "the run has no measurement after the start")}
     usual = TWO_PHASE_ACCURACY if two else ACCURACY[scene.dimensions]
     limit = usual if scene.tolerated_error is None else scene.tolerated_error
     wall_limit, profile_limit = (max(limit if limit > usual else 0.0, each)
@@ -324,8 +326,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         left = 0.5 * math.exp(-scene.velocity * float(run.series["time"][1]) / scene.breakdown) if plug else 0.0
         found["restart"] = (
             (least + left * (most - least)) * (1 - limit) < peak < most * (1 + limit),
-            f"{peak / 1e3:.4g} kPa; theory: {least / 1e3:.4g} kPa without structure, {most / 1e3:.4g} kPa with all of "
-            "the structure, as a plug",
+            f"{peak / 1e3:.4g} kPa; theory: {least / 1e3:.4g} kPa without thixotropic structure, {most / 1e3:.4g} kPa "
+            "for a plug with unbroken structure",
         )
     # A run whose scene states a duration may end before the flow is steady, which is no failure. Only other runs must
     # become steady.
@@ -363,12 +365,12 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Return other flows on which the settings of a trade-off are tested too, as changes of a flow's parameters.
+    """Return variants of a flow, as changed parameters by a description of the variant.
 
-    The changes apply to a flow with one phase. The accuracy of these variants is measured against theory. The variants
-    have other concretes, flow rates and pipes. The flow rate changes the part of the flow that slip carries, and the
-    self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends (piston or periodic)
-    as the flow itself, because the settings found for the flow are applied to its variants.
+    A trade-off study measures the accuracy of its settings also on these variants, by comparison with theory. The
+    variants have other concretes, flow rates and pipes, and one phase. The flow rate changes the ratio of slip to mean
+    velocity, and the self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends
+    (piston or periodic) as the flow itself, because the settings found for the flow are applied to its variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

@@ -36,7 +36,7 @@ class FlowDisplay(Display):
 
     @property
     def direction(self) -> tuple[float, float, float]:  # type: ignore[override]
-        """Direction from the flow to the viewer: -y for a channel; slightly to the side and upwards for a tube."""
+        """Direction from the flow to the viewer: along -y for a channel, also slightly sideways and up for a tube."""
         aside = 0.0 if self.simulation.scene.dimensions == 2 else 0.25
         return aside, -1.0, 0.1 * aside
 

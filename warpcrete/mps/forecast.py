@@ -15,10 +15,10 @@ COARSE_PARTICLES = 2500
 
 
 def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Return the expected time and memory of a run on a Warp `device`.
+    """Return the forecast of the run time and memory of a run on a Warp `device`.
 
-    `probe` is a function that measures the wall time of recording one frame. The errors that the run would raise before
-    its first step are raised here.
+    The function `probe` measures the wall time of recording one frame. Raises the same errors as a run that fails
+    before its first step.
     """
     return flow_forecast(
         lambda: FluidSimulation(scene, device=str(device), precision=precision, threads=threads),

@@ -79,7 +79,7 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
             taken += len(inside)
             misses = 0
         if taken < goal - max(0.02 * wanted, 0.6 * (largest / spacing) ** dimensions):
-            found = f"does not fit at a spacing of {spacing:g} m: only {taken / n:.3g} of the volume was placed"
+            found = f"does not fit at a spacing of {spacing:g} m: only the volume fraction {taken / n:.3g} was placed"
             refuse("aggregate fraction", aggregates.fraction, found, "use a lower fraction, or a smaller 'spacing'")
     if not members:
         problem = "is too small for a single grain"

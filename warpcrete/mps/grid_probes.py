@@ -94,8 +94,8 @@ def _mass_in_window(layout: GridLayout, places: np.ndarray, scene: FluidScene) -
 def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return the velocity profile of a pipe at a `height` [m], by default at half the height of the grid.
 
-    The profile consists of the distances of the cells from the axis or the middle [m], in rising order, and the cells'
-    mean velocities [m/s].
+    The profile consists of the distances of the cells from the axis of a tube or the middle plane of a channel [m], in
+    rising order, and of the cells' mean velocities [m/s].
     """
     layout = flow.state.layout
     height = 0.5 * layout.height if height is None else height

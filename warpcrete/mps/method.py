@@ -1,4 +1,4 @@
-"""Interface of flows in pipes to the rest of the program, which finds, runs, draws and reports them through it."""
+"""Interface through which the program finds, runs, draws and reports flows in pipes."""
 
 from ..core.run.method import Method
 from .common.stepping import run_abreast

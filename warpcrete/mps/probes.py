@@ -135,7 +135,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 
 
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
-    """Return the sum of `weight` over all particles, each times a factor between 0 and 1.
+    """Return the sum of `weight` times a window factor between 0 and 1 over all particles.
 
     `part` is the relative position of each particle, such as its height divided by the column's height. The factor is 1
     below the range WINDOW, and falls smoothly to 0 within it. The sum keeps its initial value if the concrete neither

@@ -67,8 +67,8 @@ class FlowWatch(Declared):
 
     force_balance: Annotated[
         float | None,
-        "Largest sum of weight, wall friction and inertia that may remain unbalanced, as a fraction of "
-        "the piston's force; None: no limit",
+        "Largest difference between the piston's force and the sum of weight, wall friction and inertia, as a "
+        "fraction of the piston's force; None: no limit",
         Above(),
     ] = 0.2
     pressure: Annotated[
@@ -95,38 +95,43 @@ class FlowSettings(Declared):
     duration: Annotated[float | None, "Simulated time [s]; default: until the flow is steady"] = None
     ends: Annotated[
         str,
-        "Ends of the pipe: piston (particles, a column with a free surface on a piston) or periodic (a stretch of an "
-        "endless pipe on a grid, about the axis of a tube; for flows with any amount of shear)",
+        "Ends of the pipe: piston (a piston pushes a column of particles with a free surface) or periodic (a stretch "
+        "of an endless pipe on a grid, axisymmetric for a tube; for flows with any amount of shear)",
         OneOf(ENDS),
     ] = "piston"
     time_step: Annotated[
         float, "Longest time step [s]; if step_error is 0, all time steps have this length", Above()
     ] = 5e-4
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
-    gravity: Annotated[float, "Gravity against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
-    regularisation: Annotated[float, "Parameter beta of the regularised flow law [s] (Eq. 14)", Above()] = 100.0
+    gravity: Annotated[
+        float, "Gravitational acceleration against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)
+    ] = 9.81
+    regularisation: Annotated[
+        float, "Parameter beta of the regularised flow law [s] (Xu, Li & Jiang 2021, Eq. 14)", Above()
+    ] = 100.0
     tolerance: Annotated[
         float,
-        "Tolerance of the pressure solve: largest residual at its end, divided by the residual at its start or by "
-        "the one that the speed of the piston would cause",
+        "Tolerance of the pressure solve: norm of the final residual, divided by that of the initial residual, or by "
+        "that of a typical residual, which follows from the speed of the piston",
         Within(1e-12, 0.5),
     ] = 1e-2
     maximum_iterations: Annotated[
         int,
-        "Largest number of iterations of a solve; if a solve needs more, the run ends with an error",
+        "Largest number of iterations of a linear solve; if a solve needs more, the run ends with an error",
         Within(1),
     ] = 2000
     steadiness: Annotated[
         float,
-        "Largest relative change of pressure, wall stress and slip velocity in 5 ms, and in the 5 ms before, with "
-        "which the flow counts as steady; the slip velocity is relative to the speed of the piston",
+        "The flow counts as steady if the relative changes of pressure, wall stress and slip velocity were smaller "
+        "than this value in the last 5 ms and in the 5 ms before; the change of the slip velocity is divided by the "
+        "speed of the piston",
         Above(),
     ] = 1e-3
     precision: Annotated[
         str, "Precision of positions, velocities and pressures: float32 or float64", OneOf(PRECISIONS)
     ] = "float32"
     sample_interval: Annotated[float, "Simulated time between two rows of the time series [s]", Above()] = 5e-3
-    seed: Annotated[int, "Random seed of the aggregate", Within(0)] = 0
+    seed: Annotated[int, "Random seed of the places and shapes of the aggregates", Within(0)] = 0
     rest: Annotated[
         float,
         "Time at rest in the pipe before the flow starts [s], in which the yield stresses of the concrete and of "
@@ -138,21 +143,21 @@ class FlowSettings(Declared):
     ] = 0.5
     breakdown: Annotated[
         float,
-        "Slip over which the yield stress that the slip layer gained at rest falls to 1/e of it [m]",
+        "Slip distance over which the yield stress that the slip layer gained at rest falls to 1/e [m]",
         Above(),
         STRUCTURED,
     ] = 0.1
     breakdown_strain: Annotated[
         float,
-        "Shear strain over which the yield stress that the concrete gained at rest falls to 1/e of it; 1 / alpha "
+        "Shear strain over which the yield stress that the concrete gained at rest falls to 1/e; it equals 1 / alpha "
         "of Roussel (2006)",
         Above(),
         STRUCTURED,
     ] = 100.0
     rebuild_rate: Annotated[
         float,
-        "Rate A_thix at which the yield stresses of the concrete and of its slip layer also grow while the "
-        "concrete flows [Pa/s]; 0: they only fall",
+        "Rate A_thix at which the yield stresses of concrete and slip layer grow while the concrete flows [Pa/s]; 0: "
+        "they only fall",
         Within(0),
     ] = 0.0
     tolerated_error: Annotated[
@@ -178,14 +183,14 @@ class FluidScene(Parametrised, FlowSettings):
     velocity: float
     """Velocity of the piston [m/s]."""
     spacing: float
-    """Wanted particle spacing [m]. The simulation uses the nearest spacing of which the width of the channel or the
-    radius of the tube is a multiple."""
+    """Requested particle spacing [m]. The simulation uses the nearest spacing that divides the width of the channel or
+    the radius of the tube into whole spacings."""
     aggregates: Aggregates | None = None
     watch: FlowWatch = field(default_factory=FlowWatch)
     published: Mapping[str, float] = field(default_factory=dict)
     """Values of result quantities that Xu, Li & Jiang 2021 print for this scene, in SI units."""
     remarks: tuple[str, ...] = ()
-    """Remarks on what the scene simplifies, shown before a run."""
+    """Remarks on simplifications in the scene, shown before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
     such function."""
@@ -201,14 +206,14 @@ class FluidScene(Parametrised, FlowSettings):
         positive("spacing", self.spacing, "m")
         if self.aggregates is not None and (self.rest or self.step_error or self.rebuild_rate):
             name = next(each for each in ("rest", "step_error", "rebuild_rate") if getattr(self, each))
-            problem = "needs cells of a grid, which cannot contain aggregates"
+            problem = "needs a flow on a grid, which cannot contain aggregates of the two-phase model"
             refuse(name, getattr(self, name), problem, f"leave out {name!r} or 'aggregates'")
         for name in ("rest", "rebuild_rate"):
             if self.ends == "piston" and getattr(self, name):
-                problem = "needs cells of a grid, because particles cannot track the breakdown of the structure"
+                problem = "needs a flow on a grid, because a column of particles cannot track its structure"
                 refuse(name, getattr(self, name), problem, f"set 'ends' to periodic, or {name!r} to 0")
         if self.ends == "piston" and self.step_error:
-            problem = "needs cells of a grid, because a column of particles on a piston has equal steps"
+            problem = "needs a flow on a grid, because all time steps of a column of particles are equal"
             refuse("step_error", self.step_error, problem, "set 'ends' to periodic, or 'step_error' to 0")
         if self.ends == "periodic" and self.aggregates is not None:
             problem = "cannot be combined with aggregates, because periodic flows are solved on a grid"
@@ -227,7 +232,7 @@ class FluidScene(Parametrised, FlowSettings):
                    "reduce 'length', increase 'spacing', or " + ("set 'ends' to periodic" if self.aggregates is None
                                                                  else "leave out 'aggregates'"))  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
-            problem = "must be shorter, because the piston moves by more than half a particle per step"
+            problem = "must be shorter, because the piston moves by more than half a particle spacing per step"
             refuse("time_step", self.time_step, problem, f"use {at_most(0.5 * self.spacing / self.velocity)} s or less")
         if self.duration is not None:
             between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")

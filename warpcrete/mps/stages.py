@@ -101,9 +101,9 @@ class StepPart:
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier_stages]
 
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
-        """Return a stage that runs a kernel in whole GPU blocks.
+        """Return a stage that launches a kernel with `number` whole thread blocks of a GPU.
 
-        `number` is the number of blocks; by default there is one thread for each particle.
+        The default number of blocks gives at least one thread for each particle.
         """
         return self.p.stage(kernel, BLOCK * (number or self.p.blocks), block=BLOCK, **named)
 

@@ -46,14 +46,14 @@ class WatchedFlow:
             )  # fmt: skip
         if limits.volume is not None and abs(row["volume_error"]) > limits.volume:
             raise self._unstable(
-                row, f"{abs(row['volume_error']):.3g} of the volume was lost or gained; the limit is watch.volume = "
-                     f"{limits.volume:g}"
+                row, f"the concrete has lost or gained {abs(row['volume_error']):.3g} of its volume; the limit is "
+                     f"watch.volume = {limits.volume:g}"
             )  # fmt: skip
         balance = row["force_balance_error"]
         # Do not check the balance of forces before the first step, when the wall stress is still zero.
         if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
             raise self._unstable(
-                row, f"forces do not balance: {balance:.3g} of the piston's force is left over; the limit is "
+                row, f"forces do not balance: the resultant is {balance:.3g} of the piston's force; the limit is "
                      f"watch.force_balance = {limits.force_balance:g}"
             )  # fmt: skip
 

@@ -1,7 +1,7 @@
-"""Standard tests of fresh concrete that both simulation methods share, one file for each vessel.
+"""Standard tests of fresh concrete, one file for each vessel; flows and discrete elements simulate the same tests.
 
-The scenes build the vessel and simulate the test. If one file contains all scenes of a test, the test is defined in
-that file instead of here; `scenes/lcpc.py` is an example.
+The scenes build the vessel and simulate the test. If one file in `scenes` contains all scenes of a test, that file also
+defines the test, as in `scenes/lcpc.py`.
 """
 
 from .funnel import FUNNEL

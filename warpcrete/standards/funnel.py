@@ -20,7 +20,7 @@ def _height(size: Sizes) -> float:
 
 
 def _time_of_ducts(k: Outcome) -> float | None:
-    """Return the time in which the funnel empties, by theory [s]; None if the yield stress holds the concrete back."""
+    """Return the theoretical time in which the funnel empties [s]; None if the yield stress holds the concrete back."""
     size, concrete = k.size, k.concrete
     halves = (size["outlet_width"] / 2, size["top_width"] / 2)
     time = funnel_time(halves, (size["outlet_height"], _height(size)), size["breadth"], concrete.viscosity,

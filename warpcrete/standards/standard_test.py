@@ -1,4 +1,4 @@
-"""Class that describes a standard test of fresh concrete: measurements, end of the test, and closed forms."""
+"""Class that describes a standard test of fresh concrete: measurements, end of the test, and closed-form solutions."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """Closed form of theory that predicts a quantity of a standard test for a yield stress fluid."""
+    """Closed-form solution ("closed form") that predicts a result of a standard test for a yield stress fluid."""
 
     quantity: str
     suffix: str
@@ -179,7 +179,7 @@ class StandardTest:
         """Raise :class:`warpcrete.SceneError` if a dimension that the test needs is missing."""
         if missing := [name for name in self.dimensions if name not in given]:
             problem = f"has no {', '.join(missing)}, which the test {self.name!r} needs"
-            refuse("dimensions", dict(given), problem, "add what is missing")
+            refuse("dimensions", dict(given), problem, "add the missing dimensions")
 
     def sizes(self, given: Any) -> dict[str, float]:
         """Return the dimensions of the vessel, from the parameters of a scene."""
@@ -237,11 +237,11 @@ def _by_name(name: str, module: str) -> StandardTest:
 def quantities_of_tests(
     of: Callable[[StandardTest], Iterable[Quantity]], outcome: Callable[[Any], Outcome | None]
 ) -> list[Quantity]:
-    """Return the quantities of all standard tests; tests that share a quantity share one entry of the list.
+    """Return the result quantities of all standard tests, each once, even if several tests have it.
 
-    `of` is a function that yields the quantities of one test. `outcome` is a function that takes a simulation method's
-    data about a run and returns the :class:`Outcome` of the run's test, or None if the run simulates no standard test.
-    A quantity is undefined (None) for a run whose test does not have this quantity.
+    The function `of` yields the quantities of one test. The function `outcome` takes a simulation method's data about a
+    run and returns the :class:`Outcome` of the run's test, or None if the run simulates no standard test. The value of
+    a quantity is None for a run whose test does not have this quantity.
     """
     found: dict[str, dict[StandardTest, Quantity]] = {}
     for test in TESTS.values():
@@ -258,8 +258,9 @@ def quantities_of_tests(
 def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
     """Return whether the concrete was slower than `rest_speed` [m/s] throughout the last `RESTED` seconds.
 
-    All of this time must lie after the time `opened` [s], from which on the concrete was free to flow. The compared
-    speed is the speed of most of the concrete if the rows contain it, otherwise the largest speed.
+    The result is False until `RESTED` seconds have passed since the concrete was free to flow, at the time `opened`
+    [s]. The compared speed is a speed that most of the concrete does not exceed, if `rows` contain it, otherwise the
+    largest speed.
     """
     now, column = rows[-1]["time"], MOST if MOST in rows[-1] else FASTEST
     late = (row[column] for row in rows if row["time"] > now - RESTED - 1e-9)

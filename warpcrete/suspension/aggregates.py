@@ -52,8 +52,8 @@ class Aggregates:
             problem = f"must have the shape (n, 3) for radii of shape {radius.shape}"
             refuse("centre", centre.shape, problem, "give one centre and one radius for each aggregate")
         if not (np.isfinite(centre).all() and np.all(radius > 0)):
-            problem = "must be above 0, and all centres must be finite"
-            refuse("radius", radius.tolist(), problem, "remove or correct aggregates with other values")
+            problem = "must be above 0 for all aggregates, and all centres must be finite"
+            refuse("radius", radius.tolist(), problem, "remove or correct the other aggregates")
         object.__setattr__(self, "centre", centre)
         object.__setattr__(self, "radius", radius)
 

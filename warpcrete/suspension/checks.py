@@ -10,11 +10,11 @@ OVERLAP = 0.05
 
 
 def steadiness(result: Mapping[str, Any]) -> tuple[bool, str]:
-    """Return whether the flow became steady, and after which simulated time the run ended."""
+    """Return whether the flow became steady, and the simulated time of the run as text."""
     return bool(result["steady"]), f"after {number(result['simulated_time']):g} s"
 
 
 def no_overlap(result: Mapping[str, Any]) -> tuple[bool, str]:
-    """Return whether no aggregates overlapped by more than `OVERLAP`, and the smallest gap."""
+    """Return whether no aggregates overlapped by more than `OVERLAP`, and the smallest gap as text."""
     gap = number(result["smallest_gap"])
     return gap > -OVERLAP, f"smallest gap {gap:+.4f} radii"

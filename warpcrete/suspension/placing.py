@@ -60,7 +60,7 @@ def aggregates_within(
         count, part = (0, 0.0) if found is None else (len(fewer), float(np.sum(fewer**3)) / whole)
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
-            f"is too large: only {count} of {len(radii)} aggregates found a place",
+            f"is too large: only {count} of {len(radii)} aggregates could be placed without overlaps",
             f"use {at_most(part * scene.aggregate_fraction, 2)} or less" if count
             else "use smaller aggregates or a wider box",
         )  # fmt: skip
@@ -191,8 +191,8 @@ def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.n
             if abs(filled / wanted - 1) > MAX_DEVIATION:
                 placed = scene.simulated_fraction * filled / wanted
                 goal = f" instead of {scene.simulated_fraction:.3g}, the part that the cells resolve" if curve else ""
-                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: whole aggregates of these sizes, "
-                     f"{len(radii)} of them, have a fraction of {placed:.3g}{goal}")  # fmt: skip
+                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: only whole aggregates are placed, and "
+                     f"{len(radii)} of these sizes give a fraction of {placed:.3g}{goal}")  # fmt: skip
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
         filled += own

@@ -60,7 +60,7 @@ def in_words(bodies: BodyState, scene: SphereFields) -> str:
 
 
 def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
-    """For aggregates with a sieve curve, yield the line of a report that states which fraction of them is simulated."""
+    """Yield a report line on the fraction of the aggregates that is simulated, if they have a sieve curve."""
     found = run.result.get("aggregates", {})
     if "stated_fraction" in found:
         part = found["fraction"] / found["stated_fraction"]

@@ -1,4 +1,4 @@
-"""Base class for runs of mortars with aggregates: columns of the time series, limit of overlaps, and sizes."""
+"""Base class for runs of mortar with aggregates, in vessels and in pipes."""
 
 from typing import Any
 
@@ -31,7 +31,10 @@ class AggregateRun(FlowRun):
     method = "suspension"
 
     def aggregate_columns(self) -> dict[str, float]:
-        """Return the smallest gap of an aggregate, divided by its radius, and the error of the coupled solve."""
+        """Return two columns of the time series: the smallest gap of any sphere, and the error of the coupled solve.
+
+        The gap is divided by the radius of the sphere, and the error by the flow's momentum.
+        """
         gap = self.flow.aggregates.smallest_gap() if self.flow.steps else 0.0
         return {"smallest_gap": min(gap, 1.0), "coupled_error": self.flow.coupled.error}
 
@@ -43,7 +46,8 @@ class AggregateRun(FlowRun):
         super().watch_row(row)
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(
-                f"two aggregates, or an aggregate and a wall, overlap by {-row['smallest_gap']:.2g} of a radius",
+                f"two aggregates, or an aggregate and a wall, overlap by {-row['smallest_gap']:.2g} of a radius; the "
+                f"limit is {DEEPEST:g}",
                 time=row["time"],
                 cure=self.cure,
             )

@@ -90,12 +90,12 @@ class SphereFields:
         return max(self.sieve.smallest, self.resolved), self.sieve.largest
 
     def check_aggregates(self) -> None:
-        """Raise :class:`SceneError` if sizes of aggregates and cells do not fit each other."""
+        """Raise :class:`SceneError` if the cells are too coarse for the aggregates, or if their sizes are invalid."""
         if self.sieve is not None:
             finest, largest = self.resolved, self.sieve.largest
             if largest <= finest:
                 refuse("spacing", self.spacing, f"is too coarse: aggregates below {finest:.3g} m count as mortar, but "
-                                                f"the sieve curve ends at {largest:g} m",
+                                                f"the largest stones of the sieve curve have {largest:g} m",
                        f"use {self.spacing * largest / finest / 2:.2g} m or less")  # fmt: skip
             return
         smallest, largest = self.aggregate_diameters
@@ -142,14 +142,14 @@ class AggregateParameters(Declared):
 
     aggregate_fraction: Annotated[
         float,
-        "Volume fraction of aggregates, each of which is a rigid body in the mortar. The constants of the concrete "
-        "are then those of the mortar. 0: the concrete is one fluid without aggregates",
+        "Volume fraction of aggregates that are simulated as rigid bodies in mortar; the constants of the concrete "
+        "then describe the mortar. 0: the concrete is one fluid without aggregates",
         Within(0, MAX_FRACTION),
     ] = 0.0
     aggregate_smallest: Annotated[
         float | None,
-        "Smallest diameter of the simulated aggregates [m], at least three cells; default: the diameter with which "
-            "their narrowest side is four cells wide",
+        "Smallest diameter of the simulated aggregates [m], at least three cells; default: such that their narrowest "
+            "side is four cells wide",
         Above(), RANGED, USED_BY_AGGREGATES,
     ] = None  # fmt: skip
     aggregate_largest: Annotated[
@@ -160,14 +160,14 @@ class AggregateParameters(Declared):
     aggregate_shapes: Annotated[
         str,
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of "
-        "closed meshes. Their diameter is that of a sphere of equal volume",
+        "closed meshes; the diameter of an aggregate is that of a sphere of equal volume",
         Suggests(lambda: TEMPLATE_SETS, files=True),
         WITH_AGGREGATES,
     ] = "spheres"
     aggregate_sizes: Annotated[
         str,
-        "Size distribution of the aggregates: uniform, or a sieve curve by mass, as 'mm:passing,...'. Stones of a "
-        "sieve curve that are too small for the cells count as mortar",
+        "Size distribution of the aggregates: uniform, or a sieve curve by mass as 'mm:passing,...'; stones that are "
+        "too small for the cells count as mortar",
         WITH_AGGREGATES,
     ] = UNIFORM
     aggregate_density: Annotated[
@@ -175,7 +175,7 @@ class AggregateParameters(Declared):
     ] = 2650.0
     roughness: Annotated[
         float,
-        "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, divided by R1 R2 / (R1 "
+        "Roughness of aggregates: gap at which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 "
         "+ R2)",
         Within(1e-4, 0.1),
         USED_BY_AGGREGATES,
@@ -214,7 +214,8 @@ class AggregateParameters(Declared):
                    "'aggregate_largest'")  # fmt: skip
         name = "aggregate_largest" if self.aggregate_sizes == UNIFORM else "aggregate_sizes"
         value = self.coarsest if name == "aggregate_largest" else self.aggregate_sizes
-        refuse(name, value, f"is too large: {why}", f"use {at_most(limit, 2)} m or less")
+        hint = f"use {at_most(limit, 2)} m or less"
+        refuse(name, value, f"is too large: {why}", hint if value == self.coarsest else f"{hint} as the largest size")
 
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""

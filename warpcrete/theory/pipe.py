@@ -43,7 +43,7 @@ class Concrete(Declared):
     viscosity: Annotated[
         float,
         "Plastic viscosity mu_b [Pa s], or consistency k [Pa s^n] with a flow index",
-        Above(hint=("without viscosity the velocity has no profile")),
+        Above(hint=("use a small viscosity, because sheared concrete without viscosity has no finite velocity")),
     ]
     yield_stress: Annotated[float, "Yield stress tau_b [Pa]", Within(0)]
     slip_viscosity: Annotated[
@@ -53,12 +53,14 @@ class Concrete(Declared):
     ]
     slip_yield: Annotated[float, "Yield stress tau_L0 of the slip layer [Pa]", Within(0)]
     flow_index: Annotated[
-        float, "Flow index n of the Herschel-Bulkley law tau_b + k g^n; above 1 the concrete thickens", Above()
+        float,
+        "Flow index n of the Herschel-Bulkley law tau_b + k g^n; concrete with n > 1 is shear-thickening",
+        Above(),
     ] = 1.0
     quadratic_viscosity: Annotated[
         float,
         "Coefficient c of the modified Bingham law tau_b + mu_b g + c g^2 [Pa s2]",
-        Within(0, hint="use flow_index below 1 for a concrete that thins"),
+        Within(0, hint="use flow_index below 1 for shear-thinning concrete"),
     ] = 0.0
     slip_flow_index: Annotated[float, "Flow index n of the slip layer, whose stress is tau_L0 + eta_L V^n", Above()] = (
         1.0
@@ -66,7 +68,7 @@ class Concrete(Declared):
     slip_quadratic_viscosity: Annotated[
         float,
         "Coefficient c of the slip layer [Pa s2/m2], whose stress is tau_L0 + eta_L V + c V^2",
-        Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
+        Within(0, hint="use slip_flow_index below 1 for a shear-thinning layer"),
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -79,7 +81,10 @@ class Concrete(Declared):
 
     @property
     def words(self) -> str:
-        """Name, yield stress and viscosity, such as "no1 (300 Pa, 397 Pa s)"; parameters may replace constants."""
+        """Name, yield stress and viscosity as text, such as "no1 (300 Pa, 397 Pa s)".
+
+        The constants are stated because they may differ from those of the shipped concrete of the same name.
+        """
         return f"{self.name} ({self.yield_stress:.3g} Pa, {self.viscosity:.3g} Pa s)"
 
     @property
@@ -128,7 +133,9 @@ class Line(Declared):
     radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
     length: Annotated[float, "Length of the pipe [m]", Above()] = 0.3
     slip_thickness: Annotated[float, "Thickness of the slip layer [m]", Within(0)] = 0.0
-    rise: Annotated[float, "Height gained per length: 1 for an upright pipe, 0 for a level one", Within(-1, 1)] = 1.0
+    rise: Annotated[
+        float, "Height gained per length of pipe: 1 for upward, 0 for level, -1 for downward flow", Within(-1, 1)
+    ] = 1.0
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0)] = 9.81
 
     def __post_init__(self) -> None:
@@ -204,7 +211,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
 
     Concrete at rest can bear any wall stress up to `least_stress`. The result for zero flow has this largest stress.
     """
-    between("flow", flow, 0, np.inf, "[m3/s]")
+    between("flow", flow, 0, np.inf, "m3/s")
     low = least_stress(concrete, line)
     if flow == 0:
         return steady_of_stress(concrete, line, low, form)
@@ -212,7 +219,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     while steady_of_stress(concrete, line, high, form).flow < flow:
         high *= 2
         if high > 1e30:
-            refuse("flow", flow, "needs a wall stress that is too large to compute with", "use a smaller flow")
+            refuse("flow", flow, "needs a wall stress beyond the range of floating-point numbers", "use a smaller flow")
     low, high = _narrowed(lambda stress: steady_of_stress(concrete, line, stress, form).flow - flow, low, high)
     for _ in range(200):  # Bisect until no floating-point number lies between the bounds.
         middle = 0.5 * (low + high)
@@ -315,8 +322,8 @@ def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str 
         least = weight + ways * least_stress(concrete, line) * line.length / line.radius
         raise SceneError(
             f"pressure = {pressure!r}: nothing flows below {least:.6g} Pa, of which {weight:.6g} Pa carry the weight "
-            f"of the concrete (yield stress {concrete.yield_stress:g} Pa, of the slip layer {concrete.slip_yield:g} Pa)"
-            "; increase the pressure"
+            f"of the concrete (yield stress of the concrete {concrete.yield_stress:g} Pa, of its slip layer "
+            f"{concrete.slip_yield:g} Pa); increase the pressure"
         )
     return steady_of_stress(concrete, line, stress, form)
 
@@ -362,7 +369,7 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
             name, value = ("flow_index", law.index) if law.index != 1 else ("quadratic_viscosity", law.quadratic)
             problem = "cannot be used with Kaplan's model, which holds for Bingham's law only"
             refuse(part + name, value, problem, "use warpcrete.theory.pipe.steady")
-    between("flow", flow, 0, np.inf, "[m3/s]")
+    between("flow", flow, 0, np.inf, "m3/s")
     mean, radius = flow / (np.pi * line.radius**2), line.radius
     slip = mean
     stress = concrete.slip_yield + concrete.slip_viscosity * mean
@@ -405,8 +412,8 @@ def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], press
     found = straight_line(bent, stress - concrete.slip_quadratic_viscosity * slip * np.abs(slip))
     if found.slope <= 0 or found.offset < 0:
         raise SceneError(
-            f"fit: the points give a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which is "
-            "impossible; check length, rise and diameter of the pipe, and the viscosity and yield stress of the "
-            "concrete"
+            f"fit: the points give a slip layer with a viscosity of {found.slope:.4g} Pa s/m and a yield stress of "
+            f"{found.offset:.4g} Pa, but the viscosity must be above 0 and the yield stress at least 0; check length, "
+            "rise and diameter of the pipe, and the viscosity and yield stress of the concrete"
         )
     return found

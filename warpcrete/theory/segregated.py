@@ -103,12 +103,13 @@ class Segregated:
 
     def steady(self, flow: float) -> Steady:
         """Return the steady state of a volume `flow` [m3/s]; its pressure is the one that a pump must deliver."""
-        between("flow", flow, 0, np.inf, "[m3/s]")
+        between("flow", flow, 0, np.inf, "m3/s")
         low, high = 0.0, 1.0
         while self.of_stress(high).flow <= flow:
             low, high = high, 2 * high
             if high > 1e30:
-                refuse("flow", flow, "needs a wall stress that is too large to compute with", "use a smaller flow")
+                problem = "needs a wall stress beyond the range of floating-point numbers"
+                refuse("flow", flow, problem, "use a smaller flow")
         for _ in range(STEPS):
             middle = 0.5 * (low + high)
             if not low < middle < high:

@@ -1,13 +1,13 @@
-"""Closed forms and estimates of standard tests: slump, spread, L-box, LCPC box, V-funnel.
+"""Closed-form solutions and estimates for standard tests: slump, spread, L-box, LCPC box, V-funnel.
 
 A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
 Coussot 2005). The next order of shallow-layer theory adds the heap's resistance to stretching, which stops the heap
 earlier (Dubash, Balmforth, Slim & Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer
 has grown wide enough to bear the weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
 
-Murata's concrete yields where the largest shear stress, half of the vertical pressure, reaches the yield stress
-(Tresca). A Bingham fluid in three dimensions yields by the invariant of all stresses (von Mises), which is where the
-pressure divided by the square root of 3 reaches the yield stress.
+In Murata's theory, concrete yields where the largest shear stress, half of the vertical pressure, reaches the yield
+stress (Tresca). A Bingham fluid in three dimensions yields where the second invariant of the stress does (von Mises),
+which means that the vertical pressure divided by the square root of 3 reaches the yield stress.
 """
 
 import math

@@ -77,7 +77,7 @@ def _normalised(axes, curves) -> None:
 
 
 def _stability(axes, curves) -> None:
-    """Draw a row of marks for each contact law, one mark for each time step, which says whether the energy grew."""
+    """Draw a row of marks for each contact law; each mark shows whether the energy grew with one of the time steps."""
     from .stability import FRACTIONS, GROWN
 
     steps = np.array(FRACTIONS)

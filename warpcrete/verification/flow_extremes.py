@@ -241,7 +241,7 @@ def table(outcomes: list[FlowOutcome]) -> str:
         which = f"{len(ended)} of {len(corners)} corners of {', '.join(AXES)}"
         lines.append(f"| {which} | {figures} | within bounds |")
     cut = [o for o in corners if o.stopped]
-    for reason in ("did not converge", "fastest", "forces do not balance", "left the column", "pressure", ""):
+    for reason in ("did not converge", "fastest", "forces do not balance", "left the vessel", "pressure", ""):
         these = [o for o in cut if reason in o.stopped]
         cut = [o for o in cut if o not in these]
         if these:

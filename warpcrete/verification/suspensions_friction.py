@@ -23,7 +23,7 @@ FRICTION, STEPS = 0.3, 25
 def pushed(
     friction: float, force: float, torque: float, device: str, precision: str, steps: int = STEPS
 ) -> SuspensionFlow:
-    """Return the flow around a sphere after it was pressed onto a floor and pushed along it, from rest.
+    """Simulate a sphere that is pressed onto a floor and pushed along it from rest, and return the final flow.
 
     The sphere has the density of the mortar. `force` is the force along the first axis [N], and `torque` is the torque
     about the second axis [N m].

@@ -240,7 +240,7 @@ def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
         if len(row) != len(header):
             comma = len(row) > len(header)
             raise Unreadable(f"has {len(row)} values where the header names {len(header)} columns",
-                              "write decimal points, as in 10.3, not commas" if comma else "write one value for each "
-                                                                                           "column",
+                              "write decimal points, as in 10.3, or separate the columns by semicolons" if comma else
+                              "write one value for each column",
                               line)  # fmt: skip
     return header, rows

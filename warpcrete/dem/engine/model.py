@@ -279,9 +279,9 @@ def _wall_rows(
 
 
 def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each body group, the driving force on each of its bodies [N] and the pipe axis of this force.
+    """Return the pipe axis along which a force drives each body group, and the force on each body of the group [N].
 
-    The axis comes first, as a range of segments, shape (groups, 2); the forces have the shape (groups,).
+    An axis is a range of segments; the shapes are (groups, 2) and (groups,).
     """
     axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
     for drive in scene.drives:

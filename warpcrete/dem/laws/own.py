@@ -30,7 +30,7 @@ ROLLING_FUNCTIONS: dict[str, tuple[str, ...]] = {
     "moment": ("p", "touch", "turning", "history", "dt"),
     "moment_energy": ("p", "touch", "history"),
 }
-"""Further Warp functions of a contact law that resists rolling."""
+"""Additional Warp functions of a contact law that resists rolling, with the names of their arguments."""
 RETURNED: dict[str, tuple[str, ...]] = {
     "force": ("the force on body a [N], a t.vec3", "the new history, a t.vec3", "the energy lost in the step [J]"),
     "stiffness": ("one vector t.vec4(k_n, k_s, c_n, c_s) [N/m, N/m, N s/m, N s/m]",),
@@ -52,9 +52,9 @@ _STORED = {
     "on_a, ": ("force", 0),
     "torque, ": ("moment", 0),
 }
-"""Warp function whose result a statement in `kernels/dem/law_trial.py` uses, and the index of this result.
+"""Statements of `kernels/dem/law_trial.py` that store a result of a law's Warp functions.
 
-The keys are the beginnings of these statements.
+The keys are the beginnings of the statements. The values are the name of the function and the index of the result.
 """
 _WHERE = re.compile(r'Error while parsing function "([^"]+)" at (.*?):(\d+):\s*?\n(.*?)\n;', re.DOTALL)
 

@@ -32,12 +32,12 @@ STEPS = 2000
 DEEPEST = 0.5
 """Deepest overlap on the path of a trial, divided by the radius of the spheres."""
 FIRST_STEP = 60
-"""First step at which work and energy are compared. Before this step, the path has too few steps for a force that
-jumps."""
+"""First step at which work and energy are compared. If the force jumps at the beginning of a contact, the work cannot
+be summed accurately over fewer steps."""
 ENERGY_TOLERANCE = 0.05
 """Largest difference of work and energy, divided by the work that was done so far."""
 TOLD_SHARE = 0.5
-"""Smallest stiffness or dashpot that `stiffness` may return, as a fraction of the value that follows from `force`."""
+"""Minimum stiffness or dashpot that `stiffness` may return, divided by the value that follows from `force`."""
 ONSET_TOLERANCE = 0.01
 """Largest difference between the overlaps at which two laws begin to push, divided by the radius."""
 SLOW, PROBE = 1e-4, 1e-2
@@ -49,7 +49,7 @@ NORMAL, ALONG = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
 STIFFNESSES = (("k_n", "N/m"), ("k_s", "N/m"), ("c_n", "N s/m"), ("c_s", "N s/m"))
 """Names and units of the four values that `stiffness` returns."""
 STRESS_FACTOR = 30.0
-"""Largest factor between `stress_scale` and the stress that the law has in a deep contact."""
+"""Factor by which `stress_scale` may be larger or smaller than the stress of the law in a deep contact."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def check_own_laws(bodies: Iterable[ContactLaw], walls: Iterable[ContactLaw], wh
 
 @dataclass(frozen=True)
 class _Onset:
-    """Overlaps [m] at which a law begins to push two spheres apart (`pair`), and a sphere off a `wall`.
+    """Overlaps [m] at which a law begins to push apart two spheres (`pair`), or a sphere and a wall (`wall`).
 
     An overlap is None if the force does not grow with the overlap.
     """

@@ -51,10 +51,10 @@ def not_blocked_words(run: Any) -> str:
     window, slowest = number(run.result["blockage_window"]), run.result.get("slowest_advance")
     travel = float(run.series["travel"][-1])
     if travel < 2 * window:
-        return (f"not blocked, but the piston has moved by {travel:.3g} m only, and a blockage shows after "
-                f"{window:.3g} m of standing still")  # fmt: skip
+        return (f"not blocked, but the piston has moved only {travel:.3g} m; concrete counts as blocked if it stands "
+                f"still while the piston moves by {window:.3g} m")  # fmt: skip
     if slowest is None:
-        return f"not blocked within {travel:.3g} m of travel; too few aggregates were left in the pipe to judge the end"
+        return f"not blocked within {travel:.3g} m of travel; at the end too few aggregates were left to tell"
     if number(slowest) < STANDING_RATIO:
         return (f"not blocked within {travel:.3g} m of travel, but at the end part of the concrete moved only "
                 f"{number(slowest):.2f} times as far as the piston; move the piston further")  # fmt: skip

@@ -115,9 +115,9 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Read the measured sums from the device: for "bodies" in `what` those over bodies, for "contacts" over contacts.
+    """Read measured sums from the device; return one array for each name in `what`.
 
-    The result contains one array for each name in `what`.
+    The name "bodies" stands for the sums over all bodies, and "contacts" for the sums over all contacts.
     """
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
@@ -219,7 +219,7 @@ def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> N
 
 
 def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
-    """Return two device arrays for measured values: of the contacts of each sphere, and of each listed pair.
+    """Return two device arrays that receive sums over the contacts of each sphere, and the force of each listed pair.
 
     The first array has one row for each sphere, in order of permanent numbers, shape (spheres, CONTACT_COLUMNS). The
     second contains a normal force for each entry of the neighbour list [N].

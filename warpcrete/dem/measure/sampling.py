@@ -175,7 +175,10 @@ class Sampler:
         return row
 
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
-        """Update mean wall forces and the work of driving forces; return all walls' impulses, shape (walls, 6)."""
+        """Update mean wall forces and the work of driving forces; return the impulses of all walls, shape (walls, 6).
+
+        The columns are the impulse [N s] and the angular impulse [N m s].
+        """
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
         # The impulse on a wall is the sum of its forces over time. In the leapfrog scheme this sum reaches to the
         # middle of the last step, so the time over which the mean wall force is taken also ends there.

@@ -229,6 +229,6 @@ def words(run: Any) -> str:
     """Return the line of a run's report that states its radial segregation and its mixing index."""
     start, end, sizes = (100 * run.result[name] for name in ("segregation_at_start", "segregation", "size_segregation"))
     return (
-        f"aggregate in the outer minus the inner half of the radius: {end:+.3g} % ({start:+.3g} % at the start); "
-        f"large stones in the aggregate, likewise: {sizes:+.3g} %; mixing index {run.result['mixing']:.3g}"
+        f"difference between outer and inner half of the radius: aggregate {end:+.3g} % ({start:+.3g} % at the start), "
+        f"large stones in the aggregate {sizes:+.3g} %; mixing index {run.result['mixing']:.3g}"
     )

@@ -69,7 +69,7 @@ def law_remarks(given: Any) -> Iterator[str]:
             "ignored"
         )
         if given.bonds:
-            yield "bonds of mortar act beside the contact law; --no-bonds (in Python bonds=False) removes them"
+            yield "bonds of mortar act in addition to the contact law; --no-bonds (in Python bonds=False) removes them"
     elif wall is not None:
         yield f"wall_contact {type(wall).__name__} replaces the wall parameters of concrete {given.concrete}"
 

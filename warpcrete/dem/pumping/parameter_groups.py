@@ -64,7 +64,7 @@ class UnitParameters:
     unit: Annotated[
         str,
         "Pipe unit: vertical, horizontal, bend-to-horizontal (flow enters upward), bend-to-vertical (flow enters "
-        "horizontally), or the paper's names A, B, C, D",
+        "horizontally), or the letters A, B, C, D of Zhan et al. 2019",
         Suggests(unit_names),
     ] = "vertical"
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above()] = 0.15
@@ -78,7 +78,7 @@ class UnitParameters:
     wall_scale: Annotated[
         float, "Factor from the unit of the wall file to metres: 0.001 for mm", Above(), FROM_FILE
     ] = 1.0
-    facets: Annotated[int, "Number of facets around the pipe of wall=mesh", Within(3, 100_000), FACETED] = 64
+    facets: Annotated[int, "Number of facets around the pipe, if wall is mesh", Within(3, 100_000), FACETED] = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +149,7 @@ class ConcreteChoice:
 
     concrete: Annotated[
         str,
-        "Concrete: zhan (Table 1 of the paper, and a wall layer calibrated on its units A and B), zhan-table1, "
+        "Concrete: zhan (Table 1 of Zhan et al. 2019, with a wall layer calibrated on units A and B), zhan-table1, "
         "no1, no2, no3, or the path of a .yaml file. It sets those parameters of aggregate, contacts and bonds "
         "that you do not give",
         FileIf(is_file),

@@ -73,17 +73,21 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
     found = []
     if given.law == "mortar":
         found.append(
-            "law mortar: slump lies within a quarter of the closed form at 20 to 500 Pa; at 1000 Pa a cone remains "
-            "standing (law plastic lets it slump)"
+            "law mortar: slump differs by up to a quarter from the closed form at yield stresses of 20 to 500 Pa; at "
+            "1000 Pa a cone remains standing (with law plastic it slumps)"
         )
     if given.law == "plastic":
-        found.append("law plastic: spread lies between the closed forms at 200 to 2000 Pa; softer heaps stop too early")
+        found.append(
+            "law plastic: spread lies between the closed forms at yield stresses of 200 to 2000 Pa; heaps with a lower "
+            "yield stress stop too early"
+        )
     if given.contact is not None and not given.is_gripped:
         found.append(
-            f"plate and mould act on grains as other grains do, because {type(given.contact).__name__} has no friction"
+            "plate and mould have the same contact law as grains have between them, because "
+            f"{type(given.contact).__name__} has no parameter for friction"
         )
     elif given.mould_grip_or_default == 0:
-        found.append(f"concrete slides along {what} freely; use --mould-grip 1 for friction there")
+        found.append(f"concrete slides freely along {what}; use --mould-grip 1 for friction there")
     if given.bulk_density is None:
         found.append(
             f"only the grains have mass, {given.packed * given.density:.4g} kg/m3 in the full vessel; --bulk-density "

@@ -86,7 +86,7 @@ class LawParameters:
 
     law: Annotated[
         str,
-        "Contact law that carries the concrete: linear (springs and friction), bonds (the same with bonds that break "
+        "Contact law between grains: linear (springs and friction), bonds (the same with bonds that break "
         "and heal), mortar (hard cores in soft shells with a yield stress), plastic (as mortar, but the shells yield "
         "in all directions), rolling (friction and rolling resistance)",
         OneOf(LAWS),
@@ -105,14 +105,14 @@ class LawParameters:
         float, "Damping of the normal dashpot as a fraction of critical damping", Within(0), OWN_LAW
     ] = 0.5
     yield_stress: Annotated[
-        float, "Yield stress of the concrete [Pa]; each contact gets the share with which all slipping contacts "
-            "together have this yield stress",
+        float, "Yield stress of the concrete [Pa]; the yield stress of a contact is chosen so that all slipping "
+            "contacts together give this value",
         Within(0), WITH_MORTAR,
     ] = 200.0  # fmt: skip
     viscosity: Annotated[
         float,
-        "Plastic viscosity of the concrete [Pa s]; each contact gets the share with which all contacts together "
-        "have this viscosity",
+        "Plastic viscosity of the concrete [Pa s]; the viscosity of a contact is chosen so that all contacts together "
+        "give this value",
         Above(),
         WITH_MORTAR,
     ] = 30.0

@@ -9,11 +9,11 @@ from ..laws import BinghamMortar, own_laws
 from .scene import Scene
 
 LARGEST_ENERGY_ERROR = 0.01
-"""Largest error of the energy balance that a valid run may have, divided by the energy that the run moved."""
+"""Largest relative error of the energy balance that a valid run may have; see `energy_balance`."""
 LARGEST_MOMENTUM_ERROR = 0.01
 """Largest error of the momentum balance that a valid run may have, divided by the largest impulse."""
 LARGEST_OVERLAP = 2.0
-"""Smallest overlap, divided by the smaller radius, at which one sphere has swallowed another."""
+"""Overlap, divided by the smaller radius, at which one sphere lies inside another (is swallowed)."""
 CURES = {
     "momentum balance": "precision='float64', or TimeStep(safety=0.1)",
     "no body swallowed": "stiffer contacts, or TimeStep(safety=0.1)",
@@ -33,7 +33,7 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
     if not passed:
         found += f"; usual cure: {_finer(run.scene, abs(error))}"
         if own := own_laws(run.scene.laws()):
-            found += f", or energy() and the losses of {own} do not fit its force()"
+            found += f", or energy() and the losses of {own} are inconsistent with its force()"
     return {"energy balance": (passed, found)}
 
 

@@ -51,9 +51,9 @@ def flow_forecast(
     """Return the forecast of a flow's run time.
 
     `simulated` creates the simulation. From the prepared simulation, `course_of` returns the expected duration and mean
-    time step, and `features_of` returns texts that describe what the flow computes. `probe` measures the wall time for
-    one frame of the recordings. `limits` are the largest time steps that single effects allow [s], and `governing`
-    states why the time step is not longer, both as in :class:`Forecast`.
+    time step, and `features_of` returns texts that describe what the flow computes. `probe` measures the wall time of
+    recording one frame. `limits` are the largest time steps that single effects allow [s], by the name of the effect.
+    `governing` states which effect limits the time step. :class:`Forecast` has attributes of the same names.
     """
 
     def begun() -> FlowRun:

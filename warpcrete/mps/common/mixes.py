@@ -41,8 +41,8 @@ def concrete_names() -> tuple[str, ...]:
 
 ConcreteName = Annotated[
     str,
-    "Concrete: no1, no2, no3 (Xu et al. 2021), scc (self-compacting), the path of a .yaml file, or own, which "
-    "takes its constants from the next five parameters",
+    "Concrete: no1, no2, no3 (Xu et al. 2021), scc (self-compacting), the path of a .yaml file, or own, whose "
+    "constants the next five parameters state",
     FileIf(is_file),
     Suggests(concrete_names),
 ]
@@ -86,7 +86,7 @@ class ConcreteParameters:
         float | None,
         "Coefficient c of the modified Bingham law [Pa s2]: stress = yield stress + viscosity rate + c rate^2; "
         "default: 0",
-        Within(0, hint="use flow_index below 1 for a concrete that thins"),
+        Within(0, hint="use flow_index below 1 for shear-thinning concrete"),
     ] = None
     slip_flow_index: Annotated[
         float | None,
@@ -96,22 +96,21 @@ class ConcreteParameters:
     slip_quadratic_viscosity: Annotated[
         float | None,
         "Coefficient c of the slip layer [Pa s2/m2], which adds c x (slip velocity)^2 to its stress; default: 0",
-        Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
+        Within(0, hint="use slip_flow_index below 1 for a shear-thinning layer"),
     ] = None
     yield_factor: Annotated[
         float | None,
-        "Factor by which age or temperature change both yield stresses, for example from your own measurements; "
-        "default: 1",
+        "Factor on the yield stresses of concrete and slip layer, for another age or temperature; default: 1",
         Above(),
     ] = None
     viscosity_factor: Annotated[
         float | None,
-        "Factor by which age or temperature change all viscosities of the concrete and of its slip layer; default: 1",
+        "Factor on the viscosities of concrete and slip layer, for another age or temperature; default: 1",
         Above(),
     ] = None
     slip_thickness: Annotated[
         float,
-        "Thickness of the slip layer [m], by which the radius of the concrete is smaller than that of the pipe",
+        "Thickness of the slip layer [m]; the simulated concrete fills the pipe's radius minus this thickness",
         Within(0),
     ] = 0.0
 
@@ -138,25 +137,25 @@ class ConcreteParameters:
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
-    """Return a concrete by its name, from a file, or, for the name `own`, from the argument `constants` alone.
+    """Return the concrete with a given name or file path; the name `own` means that `constants` state everything.
 
-    The values in `constants` take the place of the concrete's own, and factors among them multiply the result
-    (:func:`scaled`). For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if
-    the slip layer has a thickness [m] and `constants` has no slip viscosity. Raises :class:`SceneError` if one of
-    :data:`BINGHAM_CONSTANTS` is missing, or if the table does not list the thickness.
+    Values in `constants` replace the constants of the named concrete, and factors among them multiply the result
+    (:func:`scaled`). `slip_thickness` is the thickness of the slip layer [m]. If it is above 0 and `constants` has no
+    slip viscosity, the slip viscosity of a concrete of Xu, Li & Jiang 2021 is taken from their Table 3. Raises
+    :class:`SceneError` if one of :data:`BINGHAM_CONSTANTS` is missing, or if the table does not list the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if _is_complete(name, given) else _flow_of(name)
     missing = sorted(set(BINGHAM_CONSTANTS) - set(given) - set(named))
     if missing:
         problem = f"has no value for {', '.join(missing)}"
-        refuse("concrete", name, problem, f"give these values, or use one of the concretes {', '.join(flowing())}")
+        refuse("concrete", name, problem, f"state these values, or use one of the concretes {', '.join(flowing())}")
     if slip_thickness > 0 and "slip_viscosity" not in given and name in SLIP_VISCOSITY_BY_THICKNESS:
         table = SLIP_VISCOSITY_BY_THICKNESS[name]
         match = [eta for thickness, eta in table.items() if abs(thickness - slip_thickness) < 1e-9]
         if not match:
             printed = ", ".join(f"{x:g}" for x in table)
-            problem = f"must be one of the published thicknesses ({printed} m) unless 'slip_viscosity' is given"
+            problem = f"must be one of the published thicknesses ({printed} m), unless 'slip_viscosity' is set"
             refuse("slip_thickness", slip_thickness, problem, "use a published thickness, or set 'slip_viscosity'")
         given["slip_viscosity"] = match[0]
     known = {**FACTORS, **named, **given}
@@ -220,5 +219,6 @@ def _flow_of(name: str) -> dict[str, float]:
         one_of("concrete", name, (*flowing(), "own"))
     found = flow_amounts(completed(name))
     if not found:
-        refuse("concrete", name, "must have a section 'flow'", f"add it with {', '.join(BINGHAM_CONSTANTS)}")
+        hint = f"add a section 'mix', or a section 'flow' with {', '.join(BINGHAM_CONSTANTS)}"
+        refuse("concrete", name, "must have a section 'mix' or 'flow' for a flow", hint)
     return found

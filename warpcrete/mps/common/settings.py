@@ -8,16 +8,16 @@ from ...core.errors import between, positive
 from ...core.inputs.parameters import Within
 
 STEP_ERROR = (
-    "Largest error of a time step on a grid, as a fraction of the root mean square of the velocity; it limits the "
-    "length of each step; 0: all steps have the length time_step"
+    "Allowed error of the velocity in a time step on a grid, divided by the rms velocity; it sets the length of each "
+    "step; 0: all steps have the length time_step"
 )
 PressureTolerance = Annotated[
     float,
-    "Tolerance of the pressure solve: largest residual at its end, divided by the residual at its start",
+    "Tolerance of the pressure solve: norm of the final residual, divided by that of the initial residual",
     Within(1e-12, 0.5),
 ]
 MaximumIterations = Annotated[
-    int, "Largest number of iterations of a solve; if a solve needs more, the run ends with an error", Within(1)
+    int, "Largest number of iterations of a linear solve; if a solve needs more, the run ends with an error", Within(1)
 ]
 """Type of a parameter that limits the iterations of each linear solve. All flows on a grid have this parameter."""
 

@@ -90,8 +90,8 @@ class Stepping(ABC):
         return self.step
 
     def build(self) -> None:
-        """Before the next step begins, do the work that the last step requested, such as rebuilding neighbour lists."""
-        raise TypeError(f"{type(self).__name__} has nothing to build between steps")
+        """Do the work between two steps that the last step requested, such as rebuilding the neighbour lists."""
+        raise TypeError(f"{type(self).__name__} has no neighbour lists to rebuild between steps")
 
     def share(self, abreast: int) -> None:
         """Set the number of flows that share the GPU.

@@ -38,10 +38,10 @@ def forecast(
     scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation,
     features_of: Callable[[Any], Mapping[str, str]] = lambda simulation: {},
 ) -> Forecast:  # fmt: skip
-    """Return the forecast of a run on a Warp `device`; the function `probe` measures the wall time of one frame.
+    """Return the forecast of the run time and memory of a run on a Warp `device`.
 
-    `make` is the class whose instance simulates the scene. `features_of` takes this instance, and returns further texts
-    that describe what the flow computes.
+    The function `probe` measures the wall time of recording one frame. `make` is the class whose instance simulates
+    the scene. `features_of` takes this instance, and returns further texts that describe what the flow computes.
     """
     step = "step error and a cell's length per step; this is the mean step"
     return flow_forecast(
@@ -63,10 +63,10 @@ def forecast(
 
 
 def course_of(simulation: FreeSimulation) -> Course:
-    """Return the expected duration, mean time step and mean cost of a step, from a run of a coarser copy.
+    """Return the expected duration, mean time step and slowdown of a flow, from a run of a coarser copy.
 
-    The run ends when the concrete rests or a funnel is empty. The copy of a mortar with aggregates is the mortar alone,
-    because coarser cells would not resolve the aggregates.
+    The run ends when the concrete is at rest or a funnel is empty. The copy of a mortar with aggregates is the mortar
+    alone, because coarser cells would not resolve the aggregates.
     """
     scene = simulation.scene
     outflow = scene.test.outflow if scene.test else None
@@ -102,9 +102,9 @@ def course_of(simulation: FreeSimulation) -> Course:
 
 
 def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:
-    """Return the mean wall time of a step of a coarser copy's `run`, divided by the time of one of its first steps.
+    """Return the mean wall time of all steps in a `run` of a coarser copy, divided by that of its first steps.
 
-    The first time steps are shorter than later steps, so the solves in them need fewer iterations. `changes` are the
+    The first time steps are shorter than later ones, so their solves need fewer iterations. `changes` are the
     attributes of the scene in which the copy differs from the flow itself.
     """
     start = type(simulation)(

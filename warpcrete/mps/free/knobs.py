@@ -11,12 +11,12 @@ from .scene import FreeConcrete
 def free_knobs(
     given: FreeConcrete, spacing: float, fall: float, coarsest: float, factors: Iterable[float], power: float
 ) -> Iterator[Knob]:
-    """Yield the parameters that trade accuracy for run time, each with the values to choose from.
+    """Yield the parameters that trade accuracy for run time, each with the values that a study tries.
 
-    The parameters are cell width, time step or its allowed error, regularisation and precision. The cell widths are
-    `spacing` [m] multiplied by each of `factors`, up to `coarsest` [m]. If all time steps are equal, a cell must also
-    be wider than the distance that concrete covers in one step after falling by `fall` [m]. The run time is assumed to
-    be proportional to the cell width to the power `power`.
+    The parameters are the cell width, the time step (or the allowed error of a step), the regularisation and the
+    precision. The cell widths are `spacing` [m] multiplied by each of `factors`, up to `coarsest` [m]. If all time
+    steps are equal, cells are left out through which concrete passes within one step after falling by `fall` [m]. The
+    run time is assumed to be proportional to the cell width to the power `power`.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
     usable = [f for f in factors if finest < f * spacing <= coarsest]

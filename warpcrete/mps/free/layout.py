@@ -58,7 +58,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
     places, mass = fill_cells(room, per_axis, concrete)
     layer, none = (scene.concrete.slip_viscosity, scene.concrete.slip_yield), (NO_SLIP_VISCOSITY, 0.0)
     if len(places) == 0:
-        problem = "must enclose concrete, but walls fill the whole outline"
+        problem = "leaves no room for concrete, because walls fill the whole outline"
         refuse("outline", scene.outline, problem, "move the outline, or the walls")
     size = float(np.ptp(scene.extent, axis=0).min())
     slips = scene.plate_slips or scene.walls_slip
@@ -83,7 +83,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 
 def _standing_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
-    """Return for each wall at rest the function of its signed distance [m] and the number of its kind.
+    """Return the signed distance function [m] and the kind number of each wall that never moves.
 
     The gate, which is lifted, is not among these walls.
     """
@@ -92,7 +92,7 @@ def _standing_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
 
 
 def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
-    """Return for each wall at the start the function of its signed distance [m] and the number of its kind."""
+    """Return the signed distance function [m] and the kind number of each wall at the start, including the gate."""
     walls = _standing_walls(scene)
     return [*walls, (section_distance(scene, scene.gate), GATE)] if scene.gate else walls
 

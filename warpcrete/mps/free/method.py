@@ -1,4 +1,4 @@
-"""Interface of free-surface flows to the rest of the program, which finds, runs, draws and reports them through it."""
+"""Interface through which the program finds, runs, draws and reports free-surface flows."""
 
 from ...core.run.method import Method
 from ..common.stepping import run_abreast

@@ -33,8 +33,8 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
 def whole_volume(scene: FreeScene, simulated: float) -> float:
     """Return the volume of all concrete of a scene [m3], or per metre of depth in a plane [m2].
 
-    `simulated` is the volume of the concrete that is simulated. In axisymmetric flow it is per radian. In space, each
-    plane of symmetry halves it.
+    `simulated` is the volume of the simulated concrete. In axisymmetric flow, this is the volume per radian. In a
+    three-dimensional flow, each plane of symmetry halves the simulated volume.
     """
     return simulated * (2 * math.pi if scene.axial else 2 ** _mirrors(scene))
 
@@ -72,7 +72,7 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def expected(scene: FreeScene) -> dict[str, float]:
-    """Return the results that closed forms predict for the scene's standard test; empty without a test."""
+    """Return the results that closed-form solutions predict for the scene's standard test; empty without a test."""
     known = outcome(scene, {}, start_volume(scene))
     return known.test.estimates(known) if known else {}
 

@@ -22,8 +22,8 @@ from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 """Names of the lower and upper sides of the simulated space along each axis."""
 REST_SPEED = (
-    "Concrete counts as at rest if all of it (in an L-box, 90 % of it) has been slower than this speed for one "
-    "second [m/s]"
+    "Speed threshold of rest [m/s]: concrete is at rest if all of it (in an L-box, 90 % of it) has been slower for "
+    "one second"
 )
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon [m], each with its horizontal coordinate (or radius) and its height."""
@@ -75,7 +75,7 @@ class FreeScene(Parametrised, FreeSettings):
     height: float
     """Height of the simulated space [m]."""
     spacing: float
-    """Wanted width of the cells [m]; the nearest width is used with which a whole number of cells fits into `width`."""
+    """Requested cell width [m]. The simulation uses the nearest width that divides `width` into whole cells."""
     outline: Points
     """Polygon whose interior the concrete fills at the start, except for the parts inside walls."""
     depth: float = 0.0
@@ -132,8 +132,8 @@ class FreeScene(Parametrised, FreeSettings):
             problem = "must be 0 for a flow about an axis, because only a flow in space has a depth"
             refuse("depth", self.depth, problem, "use 0")
         if self.round and not self.depth:
-            hint = "set 'depth' to the width of the room, or use 'axial' for a flow about an axis"
-            refuse("round", self.round, "needs a room in space", hint)
+            hint = "set 'depth' to the value of 'width', or use 'axial' for an axisymmetric flow"
+            refuse("round", self.round, "needs a three-dimensional flow, but 'depth' is 0", hint)
         if self.walls and not self.depth:
             problem = "must be empty for a flow in a plane or about an axis"
             refuse("walls", f"{len(self.walls)}", problem, "set 'depth' above 0, or use 'blocks' instead")
@@ -141,9 +141,11 @@ class FreeScene(Parametrised, FreeSettings):
             one_of("sides", name, [side for pair in SIDES for side in pair])
             one_of(f"sides[{name}]", kind, (WALL, MIRROR, OPEN_SIDE))
             if name in SIDES[1] and not self.depth:
-                refuse("sides", name, "exists only in space", f"set 'depth' above 0, or leave out {name!r}")
+                problem = "exists only in a three-dimensional flow"
+                refuse("sides", name, problem, f"set 'depth' above 0, or leave out {name!r}")
             if name == "left" and self.axial:
-                refuse("sides", name, "is the axis of the flow and cannot have a condition", f"leave out {name!r}")
+                problem = "is the axis of an axisymmetric flow, whose kind cannot be chosen"
+                refuse("sides", name, problem, f"leave out {name!r}")
         for name in ("outline", "gate", *(f"blocks[{n}]" for n in range(len(self.blocks)))):
             points = self.blocks[int(name[7:-1])] if name.startswith("blocks") else getattr(self, name)
             if name == "gate" and not points:
@@ -163,7 +165,7 @@ class FreeScene(Parametrised, FreeSettings):
             refuse("outline", self.outline, problem, "move the corners of the outline, or enlarge the simulated space")
         for wall in self.walls:
             if wall.motion is not None:
-                problem = "must be left out, because walls of a flow with a free surface stand still"
+                problem = "must be None, because walls of a free-surface flow cannot move"
                 refuse(f"{wall.name}.motion", "given", problem)
         between("lift_speed", self.lift_speed, 0, np.inf, "m/s")
         if self.gate and not self.lift_speed:
@@ -218,8 +220,8 @@ class FreeConcrete(ConcreteParameters, FreeSettings):
             refuse(
                 "slip_thickness",
                 self.slip_thickness,
-                "must be 0, because the cells represent the whole vessel",
-                "leave out 'slip_thickness'; 'slip_viscosity' and 'slip_yield' describe the layer",
+                "must be 0, because a slip layer in a vessel has no thickness in the simulation",
+                "leave out 'slip_thickness'; 'slip_viscosity' and 'slip_yield' describe the slip layer",
             )
 
     def settings(self) -> dict[str, Any]:

@@ -259,7 +259,7 @@ class GridFlow(Stepping):
 
     @property
     def _size(self) -> float:
-        """Norm of a residual divided by its root mean square: square root of the number of initially full cells."""
+        """Norm of a residual divided by its rms value: square root of the number of cells full at the start."""
         layout = self.state.layout
         return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 

@@ -13,7 +13,10 @@ from .simulation import PartSimulation
 
 
 def forecast(scene: PartScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; the function `probe` measures the wall time of one frame."""
+    """Return the forecast of the run time and memory of a run on a Warp `device`.
+
+    The function `probe` measures the wall time of recording one frame.
+    """
     return flow_forecast(
         lambda: PartSimulation(scene, device=str(device), precision=precision, threads=threads),
         _course,

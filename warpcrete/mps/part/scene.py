@@ -51,14 +51,14 @@ class PartSettings(Declared):
     maximum_iterations: MaximumIterations = 5000
     symmetry: Annotated[
         str,
-        "Simulated part of a pipe whose axis lies in a plane: the half on one side of the plane, or the whole pipe; "
-        "no aggregate crosses the plane of a half",
+        "Simulate half of the pipe, on one side of the plane in which its axis lies, or the whole pipe; with half, "
+        "no aggregate crosses this plane of symmetry",
         OneOf(("half", "whole")),
     ] = "half"
     steadiness: Annotated[
         float,
-        "Largest relative change of the pressure in ten steps, and in the ten before, with which the flow counts "
-        "as steady",
+        "The flow counts as steady if the relative change of the pressure was smaller than this value in the last ten "
+        "steps and in the ten steps before",
         Above(),
     ] = 1e-3
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
@@ -103,15 +103,15 @@ class PartScene(Parametrised, PartSettings):
     flow: float
     """Volume flow of the concrete through the part [m3/s]."""
     spacing: float
-    """Wanted width of the cells [m]. The simulation uses the nearest width of which the pipe's radius at the start of
-    the part is a multiple."""
+    """Requested cell width [m]. The simulation uses the nearest width that divides the pipe's radius at the start of
+    the part into whole cells."""
     parts: tuple[Section, ...] = ()
     """Sections whose losses are reported; if empty, they are derived from `axis` and `bores`."""
     wall: MeshWall | None = None
     """Triangle mesh whose inner surface, as seen from the axis (:class:`InnerSurface`), is the bore; None for a round
     pipe."""
     insert: tuple[float, float] | None = None
-    """Two places along the axis between which a mesh that is shorter than the part lies, as arc lengths [m].
+    """Arc lengths [m] at which a mesh that is shorter than the part begins and ends.
 
     Upstream and downstream of the mesh, the bore has the cross-section of the nearer end of the mesh. None means that
     the mesh is as long as the part.
@@ -134,14 +134,14 @@ class PartScene(Parametrised, PartSettings):
             wide = self.bores.at([begin, begin + piece.length])
             if isinstance(piece, Arc):
                 if piece.radius <= wide.max() and self.wall is not None:
-                    refuse("wall", self.wall.name, f"bends too sharply for a flow {begin:.3g} m from its start: its "
-                           f"axis has a radius of {piece.radius:.3g} m there, and the bore one of {wide.max():.3g} m",
-                           "use a wider bend, or a mesh with more rings of triangles around it; discrete elements "
-                           "accept the mesh")  # fmt: skip
+                    refuse("wall", self.wall.name, f"bends too sharply {begin:.3g} m from its start: the bend radius "
+                           f"{piece.radius:.3g} m must exceed the radius of the bore, {wide.max():.3g} m",
+                           "use a wider bend, or a mesh with more rings of triangles around it; simulations with "
+                           "discrete elements accept this mesh")  # fmt: skip
                 if piece.radius <= wide.max():
                     problem = "must exceed the pipe's radius"
                     refuse("elbow radius", piece.radius, problem, f"use more than {wide.max():g} m")
-                hint = "in a sharper turn the pipe would cross itself; use a straight piece instead of a smaller turn"
+                hint = "with a larger angle the pipe would cross itself; for a smaller angle, use a straight piece"
                 between("angle", piece.angle, 1e-3, 0.75 * np.pi, "rad", hint)
                 if np.ptp(wide) > 1e-9 * wide.max():
                     refuse(
@@ -190,7 +190,7 @@ class PartScene(Parametrised, PartSettings):
             self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1)[straight] < ROUNDNESS_TOLERANCE))
         )
         if abs(radii[0] / self.radius - 1) > 0.1:
-            hint = "use this radius, or correct the scale (0.001 for a mesh in millimetres)"
+            hint = "use this radius, or correct the scale of the mesh (0.001 for a mesh in millimetres)"
             refuse("radius", self.radius, f"must equal the mesh's radius at its start, {radii[0]:.4g} m", hint)
         return s, radii
 

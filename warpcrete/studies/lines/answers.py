@@ -271,10 +271,9 @@ class PumpMargin:
         text = f"the pump is {self.verdict}: it delivers {limit / 1e5:.4g} bar{beside(us, 'psi', limit)}"
         if self.band.value <= 0:
             return f"{text}, and the line needs no pressure"
-        text += f", {self.factor:.2f} times the pressure needed"
+        text += f", {self.factor:.2f} times the pressure needed (AIJ asks for {MARGIN:g} times)"
         if self.band.high > self.band.value:
             text += f", and {self.pump.pressure / self.band.high:.2f} times the upper end of the band"
-        text += f" (AIJ asks for {MARGIN:g} times)"
         if self.pump.power is not None:
             own, needed = (f"{each / 1e3:.3g} kW{beside(us, 'hp', each)}"
                            for each in (self.pump.power, motor_power(self.band.value, self.flow)))  # fmt: skip

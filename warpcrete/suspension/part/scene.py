@@ -14,20 +14,20 @@ MAX_PART = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class BlockageSettings(Declared):
-    """Settings that decide whether aggregates count as a blockage of the pump line, which ends the run."""
+    """Settings that decide when aggregates are taken to block the pump line; a blockage ends the run."""
 
     common: ClassVar[tuple[str, ...]] = ()
 
     blocked_travel: Annotated[
         float | None,
-        "Travel of the inflow during which part of the aggregates must stand still for the pipe to count as blocked "
-        "[m]; default: the largest diameter of the aggregates",
+        "Blockage criterion: distance by which concrete flows in while some aggregates stand still [m]; default: the "
+        "largest diameter of the aggregates",
         Above(),
         USED_BY_AGGREGATES,
     ] = None
     pressure_limit: Annotated[
         float,
-        "Frictional pressure at the beginning of the pipe above which a pipe with aggregates counts as blocked [Pa]",
+        "Frictional pressure at the start of the pipe above which a pipe with aggregates counts as blocked [Pa]",
         Above(),
         USED_BY_AGGREGATES,
     ] = 1e7
@@ -44,7 +44,7 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
         self.check_aggregates()
         room = self.narrowest if self.is_half else 2 * self.narrowest
         if self.diameters[1] > MAX_PART * room:
-            half = "; symmetry = 'whole' admits twice as large ones" if self.is_half else ""
+            half = "; 'symmetry' = 'whole' allows twice this size" if self.is_half else ""
             problem = f"is too large: the simulated part of the narrowest bore is {room:.3g} m wide"
             refuse("aggregate_largest", self.diameters[1], problem, f"use {MAX_PART * room:.3g} m or less{half}")
 

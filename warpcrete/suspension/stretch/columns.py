@@ -35,13 +35,13 @@ ANY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", ("aggregates",)
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnWithAggregates(FlowParameters, AggregateParameters):
-    """Coarse aggregate, and the time step if each aggregate is a rigid body."""
+    """Parameters of a column of concrete with coarse aggregate, which may consist of rigid bodies on a grid."""
 
     aggregate_fraction: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
         float | None,
-        "Volume fraction of the coarse aggregate. Each aggregate is a rigid body in mortar, and the constants of "
-            "the concrete are then those of the mortar. With 'aggregates', each is a rigid group of particles, and "
-            "the default is the fraction of gravel in the concrete",
+        "Volume fraction of the coarse aggregate. Without 'aggregates', each aggregate is a rigid body on a grid, and "
+            "the constants of the concrete describe the mortar. With 'aggregates', each is a rigid group of particles, "
+            "and the default is the gravel content of the concrete",
     ] = None  # fmt: skip
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), ANY_AGGREGATES] = 2630.0
     courant: Annotated[Courant, USED_BY_AGGREGATES] = 0.5

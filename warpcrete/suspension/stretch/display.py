@@ -105,7 +105,7 @@ class StretchDisplay(SphereDisplay):
         return 1e3 * radius, self.snapshot_value("fractions", lambda: fraction_profile(self.simulation.flow))
 
     def walls(self) -> list[DrawnWall]:
-        """Return the wall of the pipe, a little outside the mortar, so that a viewer can tell them apart."""
+        """Return the wall of the pipe, drawn a little outside the mortar, so that both can be told apart."""
         scene = self._scene
         if scene.depth:
             return [self._plane(side) for side in (-1, 1)]

@@ -129,5 +129,5 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """For aggregates with a sieve curve, yield the line of a report that states which fraction of them is simulated."""
+    """Yield a report line on the fraction of the aggregates that is simulated, if they have a sieve curve."""
     yield from aggregate_lines(run)

@@ -31,8 +31,8 @@ MIN_ACROSS = 8
 
 Courant = Annotated[
     float,
-    "Length of a time step of a flow with aggregates, as the number of cells that mortar on the axis may pass in a "
-    "step (by the theory of mortar without aggregates) and that a single aggregate may settle",
+    "Courant number of a flow with aggregates, which sets the time step: number of cells by which mortar on the axis "
+    "may move in a step, or a single aggregate may settle, both by theory",
     Within(0.01, 1),
 ]
 
@@ -47,7 +47,7 @@ class StretchSettings(Declared):
     courant: Courant = 0.5
     gravity: Annotated[
         float,
-        "Gravity against the flow [m/s2], with which heavy aggregates settle; 0: no settling",
+        "Gravitational acceleration against the flow [m/s2], by which heavy aggregates settle; 0: no settling",
         Within(0, 1e4),
     ] = 9.81
     regularisation: Annotated[
@@ -76,7 +76,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     length: float
     """Length of the stretch [m]."""
     gradient: float
-    """Pressure gradient beyond the weight of mortar and aggregates, which drives the flow [Pa/m]."""
+    """Pressure gradient that drives the flow, in addition to that of the weight of mortar and aggregates [Pa/m]."""
     slips: bool
     """True if mortar slips on the wall with its slip layer; False if it sticks to the wall."""
     mean_velocity: float | None = None
@@ -106,7 +106,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
                                           "because the ends of the stretch are connected",
                    f"use {at_least(MIN_LENGTH * largest)} m or more")  # fmt: skip
         if self.depth and largest > 0.5 * self.depth:
-            problem = "must be at least two diameters of the largest aggregate, because no aggregate crosses its ends"
+            problem = "must be at least two diameters of the largest aggregate, because planes of symmetry limit it"
             refuse("depth", self.depth, problem, f"use {at_least(2 * largest)} m or more")
         if largest > self.radius:
             problem = f"must be at most the radius of the pipe, {self.radius:g} m"
