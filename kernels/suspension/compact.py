@@ -74,11 +74,15 @@ COMPRESS = """
         }
     }
 #pragma unroll
-    for (int k = 0; k < ENTRIES; ++k) {
-        union { float number; unsigned int bits; } part = {sums[k]};
-        part.bits = (part.bits + 0x7fffu + ((part.bits >> 16) & 1u)) & 0xffff0000u;
-        entries.data[size_t(k) * rows + row] = (unsigned short)(part.bits >> 16);
-        change += (SCALAR)part.number;
+    for (int k = 0; k < ENTRIES; k += 2) {
+        unsigned int both = 0;
+        for (int half = 0; half < 2; ++half) {
+            union { float number; unsigned int bits; } part = {sums[k + half]};
+            part.bits = (part.bits + 0x7fffu + ((part.bits >> 16) & 1u)) & 0xffff0000u;
+            both |= half == 0 ? part.bits >> 16 : part.bits;
+            change += (SCALAR)part.number;
+        }
+        entries.data[size_t(k / 2) * rows + row] = both;
     }
     return change;
 """
@@ -86,9 +90,10 @@ PRODUCT = """
     SCALAR even = 0, odd = 0;
 #pragma unroll
     for (int k = 0; k < ENTRIES; k += 2) {
+        const unsigned int both = entries.data[size_t(k / 2) * rows + row];
         union { unsigned int bits; float number; } one, two;
-        one.bits = (unsigned int)(entries.data[size_t(k) * rows + row]) << 16;
-        two.bits = (unsigned int)(entries.data[size_t(k + 1) * rows + row]) << 16;
+        one.bits = both << 16;
+        two.bits = both & 0xffff0000u;
         even += (SCALAR)one.number * value.data[column(k)];
         odd += (SCALAR)two.number * value.data[column(k + 1)];
     }
@@ -102,9 +107,9 @@ def compact_struct(scalar):
 
     @wp.struct
     class Compact:
-        # Off-diagonal entries times -1, as bfloat16. The index of the entry k of a row is k * rows + row. Shape
-        # (ENTRIES * rows,).
-        entries: wp.array(dtype=wp.uint16)
+        # Off-diagonal entries times -1, as pairs of bfloat16. The pair with the index k * rows + row holds the entries
+        # 2 k (lower half) and 2 k + 1 (upper half) of a row. Shape (ENTRIES / 2 * rows,).
+        entries: wp.array(dtype=wp.uint32)
         # Diagonal plus the rounding errors of the row; 0 for faces whose velocities are known. Shape (rows,).
         diagonal: wp.array(dtype=scalar)
 
@@ -130,13 +135,13 @@ def compact_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     def compress_row(
         row: wp.int32, slots: wp.int32, wide: wp.int32, deep: wp.int32, period: wp.int32, count: wp.int32,
         start: wp.int32, step: wp.int32, near: wp.array(dtype=wp.int32), coefficient: wp.array(dtype=scalar),
-        entries: wp.array(dtype=wp.uint16),
+        entries: wp.array(dtype=wp.uint32),
     ) -> scalar: ...  # fmt: skip
 
     @wp.func_native(source(PRODUCT))
     def product(
         row: wp.int32, slots: wp.int32, wide: wp.int32, deep: wp.int32, period: wp.int32,
-        entries: wp.array(dtype=wp.uint16), value: wp.array(dtype=scalar),
+        entries: wp.array(dtype=wp.uint32), value: wp.array(dtype=scalar),
     ) -> scalar: ...  # fmt: skip
 
     @wp.func

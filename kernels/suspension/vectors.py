@@ -145,17 +145,24 @@ MOVE = """
     SCALAR* __restrict__ x = solution.data;
     SCALAR* __restrict__ r = residual.data;
     SCALAR* __restrict__ q = product.data;
+    double sum = 0.0;
+UNROLL
     for (int i = first; i < end; i += STRIDE) {
         x[i] += alpha * p[i];
-        const SCALAR left = r[i] - alpha * q[i];
+        const SCALAR left = r[i] - alpha * q[i], next = s[i] * left;
         r[i] = left;
-        q[i] = s[i] * left;
+        q[i] = next;
+#if defined(__CUDA_ARCH__)
+        sum += double(next) * double(left);
+#endif
     }
+    return sum;
 """
 TURN = """
     const SCALAR* __restrict__ z = product.data;
     const SCALAR* __restrict__ s = inverse.data;
     SCALAR* __restrict__ p = direction.data;
+UNROLL
     for (int i = first; i < end; i += STRIDE)
         if (s[i] != 0)
             p[i] = z[i] + beta * p[i];
@@ -177,6 +184,7 @@ def range_functions(scalar, serial: bool) -> SimpleNamespace:
     array, integer = wp.array(dtype=scalar), wp.int32
 
     def source(text: str) -> str:
+        text = text.replace("UNROLL", "" if serial else "#pragma unroll 3")
         return text.replace("SCALAR", name).replace("STRIDE", stride)
 
     @wp.func_native(source(DOT))
@@ -191,7 +199,7 @@ def range_functions(scalar, serial: bool) -> SimpleNamespace:
     def move(
         alpha: scalar, direction: array, inverse: array, solution: array, residual: array, product: array,
         first: integer, end: integer, stride: integer,
-    ): ...  # fmt: skip
+    ) -> wp.float64: ...  # fmt: skip
 
     @wp.func_native(source(TURN))
     def turn(

@@ -301,10 +301,11 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             alpha = scalar(sums[RZ] / sums[PQ])
         if task < tasks:
             first, end = own.first(task, tasks, rows), own.end(task, tasks, rows)
-            ranges.move(
+            sum = ranges.move(
                 alpha, direction.faces, inverse, solution.faces, residual.faces, result.faces, first, end, tasks
             )  # fmt: skip
-            sum = ranges.dot(result.faces, residual.faces, 0, first, end, tasks)
+            if wp.static(serial):
+                sum = ranges.dot(result.faces, residual.faces, 0, first, end, tasks)
         else:
             b, lane = share_of_body(task, tasks)
             if b < bodies.centre.shape[0] and lane == 0:

@@ -203,7 +203,8 @@ class SuspensionFlow(GridFlow):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        found = {"aggregates": self.aggregates, "coupled solve": self.coupled.directions}
+        found = {"aggregates": self.aggregates, "coupled solve": self.coupled.directions,
+                 "viscous solve": self.coupled.compact}
         return super().holdings | found | ({} if self.entrance is None else {"entrance": self.entrance})
 
     def _build_stages(self) -> None:
