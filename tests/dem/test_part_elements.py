@@ -174,7 +174,7 @@ def test_parts_that_cannot_be_are_refused_in_one_line(changes, told):
     [
         ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", "with a straight part, but part 1 is a bend"),
         ("[{straight: 0.2}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 1}]",
-         "returns across the plane of its inlet"),
+         "crosses the plane of its inlet again"),
     ],
 )  # fmt: skip
 def test_lines_that_cannot_be_pushed_through_are_refused(tmp_path, parts, told):

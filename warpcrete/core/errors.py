@@ -189,10 +189,10 @@ commands have instead, and its meaning."""
 
 
 def suggested(word: object, known: Iterable[object]) -> str:
-    """Return the question "did you mean ...?" with the one of the `known` words that `word` probably stands for.
+    """Return the question "did you mean ...?", which suggests one of the `known` words instead of `word`.
 
-    This is the word that :data:`RELATED` or :data:`RENAMED` states for `word`, or else the word with the most similar
-    spelling. The result is empty if there is no such word.
+    The suggestion is the word that :data:`RELATED` or :data:`RENAMED` states for `word`, or else the word with the most
+    similar spelling. The result is empty if there is no such word.
     """
     if not isinstance(word, str):
         return ""

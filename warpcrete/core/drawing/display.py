@@ -348,7 +348,8 @@ class Display(ABC):
     def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
         """Return a camera position and the point to look at, both of shape (3,) [m].
 
-        The camera is at `distance` times the diagonal of the box around the scene, in the direction `direction`.
+        The camera is in the direction `direction` from the centre of the scene. Its distance is `distance` times the
+        diagonal of the box around the scene.
         """
         lower, upper = self.bounds()
         centre = 0.5 * (lower + upper)

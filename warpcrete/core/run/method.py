@@ -152,7 +152,7 @@ class Method:
     def quantities(self) -> tuple[Quantity, ...]:
         """All quantities that runs of this simulation method may have.
 
-        Each access creates a new list, because users may add standard tests with quantities of their own meanwhile.
+        Each access creates a new list, because the user may have added standard tests with quantities of their own.
         """
         return self.list_quantities()
 

@@ -199,8 +199,8 @@ class Simulation(CheckpointedSimulation):
     def write_run(self, run: Run, contents: dict[str, Any]) -> None:
         """Write the run folder of the `run`, which has ended already, without simulating the scene again.
 
-        `contents` is the contents of a checkpoint of the run's final state. Recordings have all rows of the time
-        series, but only the last frame. The folder of an unfinished run also holds a checkpoint.
+        `contents` holds the data of a checkpoint of the run's final state. Recordings have all rows of the time series,
+        but only the last frame. The folder of an unfinished run also holds a checkpoint.
         """
         self._ended_run, self.stop_requested, self.resumes = run, not run.finished, True
         try:
