@@ -58,7 +58,7 @@ class Case:
     """Name of the mix, line or laboratory that several cases share. The cases of a group are fitted, or held out,
     together."""
     source: str
-    """Publication from which the measurement comes, and the table, figure or section in it."""
+    """Publication that reports the measurement, with the table, figure or section."""
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
@@ -70,10 +70,10 @@ class Case:
     concretes: int = 1
     """Number of concretes over which the measured value is a mean."""
     ends: tuple[float, float] | None = None
-    """Smallest and largest measured value of the concretes behind a mean, in the SI unit of the case's kind; None if
-    the case is a single concrete."""
+    """Smallest and largest value among the concretes whose mean is `measured`, in the SI unit of the case's kind; None
+    if the case is a single concrete."""
     basis: str = BASES[0]
-    """Origin of the compared value, one of :data:`BASES`."""
+    """Origin of the values in `measured`: a measurement, a model or a guideline (:data:`BASES`)."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
@@ -81,11 +81,13 @@ class Case:
 
 
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
-    """Return the groups of cases that no fit of a constant uses, as pairs of kind and group.
+    """Return the groups of cases that are held out, as pairs of kind and group. No fit of a constant uses these cases.
 
-    About a third of the groups that were known at the time of the fits are held out, for each kind; if a kind had two
-    groups, one is held out. The choice follows from a hash of the groups' names, so that nobody can choose groups after
-    seeing the results. All groups that were added later are held out as well (:data:`ADDED`).
+    Two kinds of groups are held out:
+
+    - For each kind of measurement, about a third of the groups that were known when constants were fitted. A hash of
+      the groups' names selects them, so that nobody can choose groups after seeing the results.
+    - All groups that were added after the fits (:data:`ADDED`).
     """
     found = set()
     for kind in {case.kind for case in cases}:
@@ -152,8 +154,8 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     concretes, ends = _scatter(_mapping(given, "scatter"), unit)
     usable = len(measured) == 1 and given["kind"] not in ("line", BLOCKING)
     if ends is not None and not (usable and ends[0] <= measured[0] <= ends[1]):
-        refuse("case scatter", dict(given["scatter"]), "belongs to a single measured value between its 'from' and "
-               "'to', and not to a case of kind 'line' or 'blocking'")  # fmt: skip
+        refuse("case scatter", dict(given["scatter"]), "needs a single measured value, which lies between 'from' and "
+               "'to', and a case of another kind than 'line' and 'blocking'", "leave out 'scatter'")  # fmt: skip
     where = str(given.get("where", ""))
     return Case(
         name=str(given["id"]),
@@ -194,7 +196,7 @@ def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, flo
 
 
 def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return the mapping that an entry must hold, or an empty mapping if the entry is missing."""
+    """Return the mapping under `key`, or an empty mapping if the entry is missing; refuse any other value."""
     found = given.get(key) or {}
     if not isinstance(found, Mapping):
         refuse(f"cases {key}", found, "must consist of 'key: value' lines")
