@@ -150,7 +150,7 @@ def test_short_stretches_are_told():
     told = [
         scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS["bend"] | {"straight": length}).remarks for length in (0.1, 0.3)
     ]
-    assert "too short for their losses" in told[0][-1] and not any("too short" in text for text in told[1])
+    assert "too short to measure" in told[0][-1] and not any("too short" in text for text in told[1])
 
 
 @pytest.mark.parametrize(
