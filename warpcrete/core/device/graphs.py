@@ -1,4 +1,4 @@
-"""Sequences of kernel launches recorded as graphs, each of which the host starts with a single launch."""
+"""Graphs of kernel launches: recorded sequences, which the host starts with a single launch."""
 
 import gc
 import threading

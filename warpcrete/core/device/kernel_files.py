@@ -1,4 +1,4 @@
-"""Files of the compiled kernels that a block of code uses, and errors in writing them."""
+"""Files of the compiled kernels that a block of code uses, and errors in reading or writing these files."""
 
 import errno
 from collections.abc import Generator

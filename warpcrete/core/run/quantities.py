@@ -1,4 +1,4 @@
-"""Quantities of a run as numbers that know their units."""
+"""Quantities of a run as numbers with units."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def conditions_of(scene: object) -> Mapping[str, str]:
 
 
 class Amount(float):
-    """Number that knows its unit; it computes and compares like a plain number.
+    """Number with the attribute `unit`; it computes and compares like a plain number.
 
     Quantities of runs are in SI units. Results of arithmetic are plain numbers, because their units may differ.
     """

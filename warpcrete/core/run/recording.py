@@ -92,7 +92,7 @@ class Recording:
             run.finished = run.result["finished"] = False
 
     def mark_incomplete(self) -> None:
-        """Write the results again, which now state that the run is not complete.
+        """Write the results again, now with the entry that the run is not complete.
 
         This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from. Recorders
         that are `expendable` write no results.

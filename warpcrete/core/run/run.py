@@ -129,7 +129,7 @@ class Run:
 
     @property
     def quantities(self) -> Quantities:
-        """Quantities of the whole run by name, as numbers in SI units that know their unit."""
+        """Quantities of the whole run by name, as numbers in SI units; the attribute `unit` of a number is its unit."""
         return Quantities.of(self.result)
 
     def table(self) -> DataFrame:

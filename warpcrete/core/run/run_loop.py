@@ -308,7 +308,7 @@ class Simulation(CheckpointedSimulation):
         return Ending(*self.why_ended(), time) if finished else interruption(time)
 
     def _keep_final_state(self, run: Run) -> None:
-        """Keep the final state in host memory, from which `run.save` can write a run folder, unless it is large."""
+        """Keep the final state in host memory unless it is large, so that `run.save` can write a run folder."""
         if number_of(run.result["speed"]["memory"]) > MAX_KEPT_MEMORY:
             return
         settings = {
