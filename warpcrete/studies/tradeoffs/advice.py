@@ -12,7 +12,7 @@ from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
 
 IGNORED_PARAMETERS = ("seed", "precision", "tolerated_error")
-"""Parameters that are ignored when a scene is compared with the scene of a trade-off study."""
+"""Parameters in which a scene may differ from the scene of a trade-off study without a remark to the user."""
 SHIPPED = Path(__file__).parents[2] / "measured"
 """Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
 

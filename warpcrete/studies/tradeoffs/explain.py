@@ -271,7 +271,7 @@ def _lines(told: Explanation) -> Iterator[str]:
         frames = 1 + max(MINIMUM_FRAMES, int(f.duration / LONGEST_FRAME_INTERVAL))
         spent = ", ".join(f"{_seconds(frames * each)} {name}" for name, each in f.frame.items())
         yield f"  plus {frames} recorded frames: {spent}"
-    yield "largest possible savings of time" + (f" (errors by {told.source})" if told.source else "")
+    yield "largest possible savings of time" + (f" (errors from {told.source})" if told.source else "")
     if not told.savings:
         yield "  none known"
     for saving in told.savings[:5]:

@@ -12,7 +12,7 @@ from ...record.checks import failed_checks
 from .fronts import Error, worst
 
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
-"""Wanted relative errors; the study looks for the cheapest setting within each wanted error."""
+"""Relative errors for each of which a study looks for the cheapest setting whose error is not larger."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
 """Origins of those settings of a trade-off study that do not just change a single accuracy parameter. In this order,
 they are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and

@@ -18,25 +18,28 @@ KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "sc
 """Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. If `flow` lists several
 values, `measured` lists one measured value for each of them."""
 BASES = ("measurement", "model", "guideline")
-"""Origins that the compared value of a case may have: a measurement, a model that was fitted to measurements, or a
-guideline that states what usually goes together. The first is the default."""
+"""Possible origins of the value with which a prediction is compared: a measurement (the default), a model that was
+fitted to measurements, or a guideline that relates properties of concrete by experience."""
 SCATTER_KEYS = ("concretes", "from", "to")
 """Entries of a case's section `scatter`, which describes the concretes of which the measured value is the mean."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""One in this number of groups of cases is held out. The cases of a held-out group are not used to fit any constant."""
+"""Number of groups of cases of which one is held out. The cases of a held-out group are not used to fit constants."""
 FITTED = {
     "slump": ("yeh-2007", "ferraris-1998"),
     "fitting": ("park-2020", "calibe"),
     "layer": ("suzuki-2004",),
     "blocking": ("tuutti-1976", "coils-10mm", "coils-20mm", "coils-30mm", "concrete-construction", "nara"),
 }
-"""Groups of cases, by kind, from which constants or rules of the program were taken. These groups are therefore never
-held out. Most of them were used before any groups were held out. The last two groups on blocking led to the rule on
-lightweight aggregate: one was a missed blockage, the other is the source of the rule. The constants are the height of
-the centre of a heap, ends of the bands of yield stresses from a slump and from a rheometer, the range of the friction
-of bends, the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
+"""Groups of cases, by kind, from which constants or rules of the program were taken, so that they are never held out.
+
+The constants are the height of the centre of a heap, ends of the bands of yield stresses from a slump and from a
+rheometer, the range of the friction of bends, the factor of a viscosity-modifying admixture, and limits of rules
+against blocking. Most groups were used before the choice of held-out groups. The last two groups on blocking led to the
+rule on lightweight aggregate: in one of them, the earlier rules missed a blockage, and the other is the source of the
+rule.
+"""
 
 ADDED = {
     "funnel": ("efnarc-2005",),

@@ -18,7 +18,7 @@ from ..lines.run import run_line
 from .cases import Case
 
 LEAST_SLUMP = 0.005
-"""Lower limit for the predicted slump [m]. It is half of the 10 mm to which the slump of a cone is read."""
+"""Lower limit for the predicted slump [m]: half of the 10 mm to which a measured slump is rounded."""
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix without a stated density [kg/m3]. Predictions of weight and slump depend on the density,
 but predictions of friction do not."""
