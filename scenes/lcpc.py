@@ -47,7 +47,7 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
 
 
 def _at_rest(k: Outcome, place: int) -> float | None:
-    """Return a depth or a length of the concrete at rest in the LCPC box by theory [m], which `place` selects.
+    """Return a theoretical dimension of the concrete at rest in the LCPC box [m]: a depth or the covered length.
 
     A `place` of 0 selects the depth at the near end, 1 the depth at the far end, and 2 the length that concrete covers.
     The result is None for concrete so stiff that it would rest deeper than the column in which it starts.

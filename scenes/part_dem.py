@@ -111,11 +111,12 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
         yield "aggregates are single spheres; use --shapes reference for the paper's clumps"
     if sizes.largest > WIDEST_STONE * narrow:
         yield (
-            f"the largest aggregates have {sizes.largest / narrow:.2g} times the diameter of the narrowest bore; "
-            f"above {WIDEST_STONE:g} concrete cannot be pumped (ACI 304.2R)"
+            f"the largest aggregates measure {sizes.largest / narrow:.2g} of the diameter of the narrowest bore; "
+            f"above {WIDEST_STONE:g}, concrete cannot be pumped (ACI 304.2R)"
         )
     if given.slices > 0 and not _stations(given, course).can_fit_losses:
-        yield "straight pipes are too short for their losses: two slices must be a radius away from their ends"
+        yield ("the straight pipes are too short to measure their pressure losses: each needs two slices at least one "
+               "radius away from its ends")  # fmt: skip
     if course.line is not None:
         yield from course.line.remarks()
 

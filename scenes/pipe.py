@@ -276,8 +276,8 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
             yield "single spheres roll along the slip layer, where clumps slide, so the wall resists them less"
     if sizes.largest > WIDEST_STONE * given.diameter:
         yield (
-            f"the largest aggregates have {sizes.largest / given.diameter:.2g} times the diameter of the pipe; above "
-            f"{WIDEST_STONE:g} concrete cannot be pumped (ACI 304.2R)"
+            f"the largest aggregates measure {sizes.largest / given.diameter:.2g} of the diameter of the pipe; above "
+            f"{WIDEST_STONE:g}, concrete cannot be pumped (ACI 304.2R)"
         )
     default = next(field.default for field in fields(given) if field.name == "elbow_radius")
     if not given.is_bend and given.elbow_radius != default:

@@ -113,7 +113,7 @@ def test_vessels_grip_by_what_a_law_has():
     layer = LubricationLayer(contact=Contact(friction=0.1), yield_stress=4.0, viscosity=6.0)
     assert layer.gripped(0.5) == LubricationLayer(contact=Contact(friction=0.05), yield_stress=2.0, viscosity=3.0)
     toy = scenes.slump_dem(**TOY)
-    assert set(toy.contacts.values()) == {Toy(push=0.25)} and "Toy has no friction" in toy.remarks[0]
+    assert set(toy.contacts.values()) == {Toy(push=0.25)} and "Toy has no parameter for friction" in toy.remarks[0]
     with pytest.raises(SceneError, match=r"plate_grip = 1\.0: has no effect with contact Toy"):
         scenes.slump_dem(**TOY, plate_grip=1.0)
 

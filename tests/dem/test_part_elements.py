@@ -150,7 +150,7 @@ def test_short_stretches_are_told():
     told = [
         scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS["bend"] | {"straight": length}).remarks for length in (0.1, 0.3)
     ]
-    assert "too short for their losses" in told[0][-1] and not any("too short" in text for text in told[1])
+    assert "too short to measure" in told[0][-1] and not any("too short" in text for text in told[1])
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_parts_that_cannot_be_are_refused_in_one_line(changes, told):
     [
         ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", "with a straight part, but part 1 is a bend"),
         ("[{straight: 0.2}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 1}]",
-         "returns across the plane of its inlet"),
+         "crosses the plane of its inlet again"),
     ],
 )  # fmt: skip
 def test_lines_that_cannot_be_pushed_through_are_refused(tmp_path, parts, told):

@@ -41,7 +41,7 @@ def test_the_example_draws_a_bent_pipe_with_a_wall(tmp_path, monkeypatch):
     assert round_pipe.rise == pytest.approx(scene.rise, rel=0.01)
     assert np.isfinite(scene.friction_loss(0.0, scene.axis.length))
     told = pressures_of(scene, 30e3)
-    assert "with the straight pipes before and behind the mesh" in told["of it weight"]
+    assert "with the straight pipes before and behind the mesh" in told["due to weight"]
 
 
 def built_in_command():
@@ -64,11 +64,11 @@ def test_the_pressure_of_a_part_is_told_apart_into_friction_and_weight():
     given = dict(unit="bend-to-horizontal", straight=0.3, elbow_radius=0.25, concrete="no1", spacing=0.015)
     told = pressures_of(scenes.part(**given), 30e3)
     weight = 2354 * 9.81 * 0.55 / 1e3
-    assert told["of it weight"] == f"{weight:.4g} kPa   (rise 0.55 m; gravity 9.81 m/s2)"
-    assert told["of it friction"].startswith(f"{30 - weight:.4g} kPa   (the whole part as straight pipe: ")
+    assert told["due to weight"] == f"{weight:.4g} kPa   (rise 0.55 m; gravity 9.81 m/s2)"
+    assert told["due to friction"].startswith(f"{30 - weight:.4g} kPa   (the whole part as straight pipe: ")
     # The made-up loss of the bend is 1 Pa.
     scene = scenes.part(**given)
     straight = scene.friction_loss(*scene.middle)
     assert told["excess over straight"] == f"{(1 - straight) / 1e3:.4g} kPa"
     told = pressures_of(scenes.part(**given, gravity=0.0), 30e3)
-    assert told["of it weight"].startswith("0 kPa") and told["of it friction"].startswith("30 kPa")
+    assert told["due to weight"].startswith("0 kPa") and told["due to friction"].startswith("30 kPa")

@@ -162,7 +162,7 @@ def test_a_line_restarts_as_the_sum_of_its_parts():
     moving = weight + 4 * (200 + 1000 * speed) / 0.1 * length
     assert stopped.restart(2e-3).value == pytest.approx(moving, rel=1e-9)
     found = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--rest", "600", "--thixotropy", "0.3"])
-    words = "after 10 min of rest, with a yield stress that grows by 0.3 Pa/s (theory), it starts to move at 198.2 ("
+    words = "with a yield stress that grows by 0.3 Pa/s (theory), the concrete starts to move at 198.2 ("
     assert found.exit_code == 0 and words in found.output
     bad = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--thixotropy", "0.3"])
     assert (

@@ -157,7 +157,7 @@ def test_a_coarser_copy_stops_after_half_a_minute(monkeypatch):
     run, reached, (remark,) = coarser_run(Flow(Coarse(), device="cpu", precision="float64", threads=3,
                                                progress=None), "it is not at rest", spacing=0.04)  # fmt: skip
     assert run is not None and reached == 7.0 and Flow.now[0] == 50.0
-    assert "reached 2.5 s in 30 s of wall time, and it is not at rest there" in remark and "for 7 s" in remark
+    assert "reached 2.5 s in 30 s of wall time, but it is not at rest then" in remark and "assumes 7 s" in remark
 
 
 def test_a_coarser_copy_runs_with_the_settings_of_the_flow_and_is_released(monkeypatch):

@@ -27,7 +27,7 @@ def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
     assert not advice.left_out
     advice = advise(tmp_path, "pipe", pipe, {"safety": 0.5}, 0.05)
     assert "safety" not in advice.changes and advice.changes["size_max"] == pytest.approx(0.04)
-    assert advice.left_out == ("time step 0.75, because its parameter is given",)
+    assert advice.left_out == ("time step 0.75, because you set its parameter",)
     # A pipe too narrow for that: the level is none of its own, and no other one takes its place.
     advice = advise(tmp_path, "pipe", pipe, {"diameter": 0.08}, 0.05)
     assert advice.changes == pytest.approx({"safety": 1.2})
@@ -44,7 +44,7 @@ def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_pat
         assert advice.changes["time_step"] == pytest.approx(2e-3) and not advice.left_out
     # Another one was chosen by somebody, and so it stays; the checks stay what they are, too.
     advice = advise(tmp_path, "channel", channel, {"time_step": 3e-4}, 0.05)
-    assert advice.changes == {} and advice.left_out == ("time step 0.0012 s, because its parameter is given",)
+    assert advice.changes == {} and advice.left_out == ("time step 0.0012 s, because you set its parameter",)
 
 
 def test_kept_advice_of_a_trade(tmp_path):

@@ -88,7 +88,7 @@ def test_a_bore_that_does_not_fit_is_refused_in_one_line(tmp_path, made, said, w
 def test_a_bore_in_inches_is_refused_with_the_scale_that_fits(tmp_path):
     tube(tmp_path / "valve.stl", [0.0625, 0.0625], scale=1 / 0.0254)
     bore = {"file": "valve.stl", "scale": 0.001}
-    with pytest.raises(SceneError, match=r"is 0\.004\d* m wide where it begins.*scale' 0\.0254 for a file in inches"):
+    with pytest.raises(SceneError, match=r"is 0\.004\d* m wide where it begins.*'scale' as 0\.0254 for a file in inch"):
         line_of({"diameter": "125 mm", "parts": [{"bore": bore}]}, "it", tmp_path)
     assert scale_hint("wall_scale", 0.001, 1e-4, 0.1) == "use --wall-scale 1 for a file in metres"
     assert scale_hint("wall_scale", 0.001, 0.08, 0.1) == scale_hint("wall_scale", 0.001, 0.1, 0.1) == ""

@@ -194,9 +194,9 @@ def test_the_command_takes_flow_and_concrete_from_the_file(tmp_path):
          "{bend: {to: down, radius: 0.2}}, {straight: 0.3}]", {},
          r"^parts = \[1, 4\]: come within 0\.03\d* m of each other; change the course of the line, or use"),
         ("[{straight: 1}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 0.3}]", {},
-         "returns across the plane of its outlet"),
+         "crosses the plane of its outlet before its end"),
         ("[{straight: 0.3}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 0.6}, "
-         "{bend: {to: left, radius: 0.2}}, {straight: 0.8}]", {}, "returns across the plane of its inlet"),
+         "{bend: {to: left, radius: 0.2}}, {straight: 0.8}]", {}, "crosses the plane of its inlet again"),
         ("[{straight: 1}, {reducer: {to: 0.05, length: 0.2}}, {straight: 1}]", {},
          r"^spacing = 0\.0125: is too coarse: at least 6 .* across the narrowest bore, 0\.05 m; use 0\.00833"),
         ("[{straight: 1}]", {"diameter": 0.08}, r"^diameter = 0\.08: has no effect unless 'line' is left out"),

@@ -176,7 +176,7 @@ def test_a_quantity_that_the_scene_does_not_come_to_is_refused(tmp_path):
 def test_folders_that_hold_no_trade_of_this_version_are_refused(flow_trade, tmp_path):
     record = json.loads((flow_trade.folder / "trade.json").read_text(encoding="utf-8"))
     (tmp_path / "trade.json").write_text(json.dumps(record | {"provenance": {"warpcrete": "0.0.1"}}), encoding="utf-8")
-    with pytest.raises(RunFolderError, match=r"was made by version 0\.0\.1"):
+    with pytest.raises(RunFolderError, match=r"was measured with version 0\.0\.1"):
         resume_trade(tmp_path, channel)
     (tmp_path / "trade.json").write_text("{}", encoding="utf-8")
     with pytest.raises(RunFolderError, match="is not the record of a trade"):

@@ -239,13 +239,13 @@ def test_a_worker_runs_one_case_after_the_other_while_there_is_time(tmp_path, mo
     assert isinstance(failed, SceneError)
     assert ran("stopped", asked=lambda: True) == [None]
     record["hardware"] = "an abacus"
-    with pytest.raises(WarpcreteError, match=r"has a worker on .*, but this trade measured times on an abacus"):
+    with pytest.raises(WarpcreteError, match=r"has a worker on .*, but this trade measured wall times on an abacus"):
         ran("other")
 
 
 def test_what_it_refuses(alone, tmp_path):
     for settings, text in (
-        (TWO | dict(workers=3), "workers = 3: times 'threads' = 1 exceeds the 2 cores of"),
+        (TWO | dict(workers=3), "workers = 3: workers with 1 threads each need more than the 2 cores of"),
         (TWO | dict(threads=0), "threads = 0"),
         (dict(workers=2), "workers = 2: has no effect without a scheduler"),
     ):
@@ -259,5 +259,5 @@ def test_what_it_refuses(alone, tmp_path):
     record = json.loads((tmp_path / "t" / "trade.json").read_text(encoding="utf-8"))
     record["provenance"] |= dict.fromkeys(("processor", "device_name"), "an abacus")
     (tmp_path / "t" / "trade.json").write_text(json.dumps(record), encoding="utf-8")
-    with pytest.raises(RunFolderError, match="contains times of an abacus, but the workers have"):
+    with pytest.raises(RunFolderError, match="contains wall times of an abacus, but the workers have"):
         resume_trade(tmp_path / "t", channel, scheduler="local", workers=1)

@@ -230,7 +230,7 @@ def test_a_wrong_prediction_does_not_squeeze_the_measurements():
         ("where: log 7", "scatter: {concretes: 5}", "has no 'from'; for example {concretes: 6"),
         ("where: log 7", "scatter: {concretes: 1, from: 1 kPa/m, to: 2 kPa/m}", "must be a whole number of at least 2"),
         ("where: log 7", "scatter: {concretes: 3, from: 2 kPa/m, to: 1 kPa/m}", "must reach from a positive value"),
-        ("where: log 7", "scatter: {concretes: 3, from: 1 kPa/m, to: 2 kPa/m}", "belongs to a single measured value"),
+        ("where: log 7", "scatter: {concretes: 3, from: 1 kPa/m, to: 2 kPa/m}", "needs a single measured value"),
         ("where: log 7", "scatter: {concretes: 3, of: 2}", "key of a scatter = 'of'"),
         ("cases:", "case:", "key of a file of cases = 'case'"),
     ],

@@ -54,9 +54,9 @@ def chosen(
             err=True,
         )
     else:
+        there = f" ({found.time:.2g} s on that machine)" if math.isfinite(found.time) else ""
         click.echo(f"note: {found.setting}: {quantities} within {100 * found.promised:.2g} %, "
-                   f"in {found.ratio:.2g} times the wall time"
-                   + (f" ({found.time:.2g} s there)" if math.isfinite(found.time) else ""), err=True)  # fmt: skip
+                   f"in {found.ratio:.2g} times the wall time{there}", err=True)  # fmt: skip
     if found.tried:
         click.echo(f"note: also measured for {', '.join(found.tried)}", err=True)
     if found.outside:

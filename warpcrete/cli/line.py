@@ -45,11 +45,11 @@ FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
 """Options of `warpcrete line` that have no effect if nothing is simulated, with their default values."""
 
 SHORTEST_REST = 120.0
-"""Shortest time for which the concrete rests in the line [s] that is accepted without a unit. A smaller number is
-refused, because it probably means minutes: a stop of so few seconds hardly changes the pressure."""
+"""Smallest value of `--rest` that is accepted without a unit [s]. A smaller number without a unit probably means
+minutes, because a stop of so few seconds hardly changes the pressure."""
 USUAL_FLOWS = {False: ("m3/h", (10, 20, 30, 45, 60)), True: ("yd3/h", (15, 25, 40, 60, 80))}
-"""Flows for which the pressure of a line is printed if the user states none, with their unit. The keys say whether the
-other amounts have customary US units."""
+"""Flows, with their unit, for which the pressure of a line is printed if the user states no flow. The key is True if
+the other amounts have customary US units."""
 
 
 def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:

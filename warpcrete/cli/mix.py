@@ -74,7 +74,8 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
 
 
 STIFF = 700.0
-"""Yield stress [Pa] above which a cone of mortar does not slump under the contact law `mortar`."""
+"""Yield stress of the mix [Pa] above which a simulated cone with the contact law `mortar` does not slump. The law
+`plastic` is used instead."""
 
 
 def _cone(mix: Mix) -> str:

@@ -25,8 +25,8 @@ from .option_amounts import growth_of
 from .option_types import LENGTH
 
 LINE = ("length", "gravity")
-"""Properties of a pipe whose options have the same meaning. The user states the diameter instead of the radius, and may
-state the rise as a height."""
+"""Attributes of :class:`Line` that are options of the command as they are. In place of the radius, the user states the
+diameter, and the rise may also be stated as a height."""
 MOST_FLOWS_SHOWN = 20
 """Maximum number of measured flows for which tables show the closed form; a data logger measures thousands."""
 

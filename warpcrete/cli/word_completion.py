@@ -25,8 +25,8 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "explain": explain.ONE | {"fresh": bool},
     "calibrate": calibrate.ONE | {"quiet": bool},
 }
-"""Options of each command whose words are parsed by its own module: `SETTINGS[command][option]` is the type of the
-option's value."""
+"""Options of each command whose own module parses its words: `SETTINGS[command][option]` is the type of the option's
+value."""
 VALUES: Mapping[str, Sequence[str]] = {
     "device": DEVICES, "precision": PRECISIONS, "scheduler": ("local", "slurm"), "method": METHODS,
 }  # fmt: skip

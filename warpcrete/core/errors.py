@@ -189,10 +189,10 @@ commands have instead, and its meaning."""
 
 
 def suggested(word: object, known: Iterable[object]) -> str:
-    """Return the question "did you mean ...?" with the one of the `known` words that `word` probably stands for.
+    """Return the question "did you mean ...?", which suggests one of the `known` words instead of `word`.
 
-    This is the word that :data:`RELATED` or :data:`RENAMED` states for `word`, or else the word with the most similar
-    spelling. The result is empty if there is no such word.
+    The suggestion is the word that :data:`RELATED` or :data:`RENAMED` states for `word`, or else the word with the most
+    similar spelling. The result is empty if there is no such word.
     """
     if not isinstance(word, str):
         return ""
@@ -217,16 +217,21 @@ def known_names(word: object, known: Iterable[object]) -> str:
     return f"must be one of {', '.join(names)}" + (f"; {suggestion}" if suggestion else "")
 
 
+def _after(unit: str) -> str:
+    """Return a unit as the text that follows a number; empty for no unit and for the unit 1 of ratios."""
+    return f" {unit}" if unit not in ("", "1") else ""
+
+
 def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
     """Raise :class:`SceneError` unless `value` is a finite number above zero."""
     if not is_number(value) or not math.isfinite(value) or value <= 0:
-        refuse(field, value, f"must be a finite number above 0{' ' + unit if unit else ''}", hint)
+        refuse(field, value, f"must be a finite number above 0{_after(unit)}", hint)
 
 
 def at_least_and_below(field: str, value: float, lower: float, end: float, unit: str = "", hint: str = "") -> None:
     """Raise :class:`SceneError` unless `value` is a number in [lower, end), which does not contain `end`."""
     if not is_number(value) or not lower <= value < end:
-        refuse(field, value, f"must be at least {lower:g} and below {end:g}{' ' + unit if unit else ''}", hint)
+        refuse(field, value, f"must be at least {lower:g} and below {end:g}{_after(unit)}", hint)
 
 
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
@@ -234,8 +239,8 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
     if not is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
         span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
         if not math.isfinite(lower):
-            span = "a finite number in" if unit else "a finite number"
-        refuse(field, value, f"must be {span}{' ' + unit if unit else ''}", hint)
+            span = "a finite number in" if _after(unit) else "a finite number"
+        refuse(field, value, f"must be {span}{_after(unit)}", hint)
 
 
 def whole(field: str, value: object, lower: int, upper: int | None = None) -> None:

@@ -183,7 +183,7 @@ class ElementSimulation(Simulation):
         self.tell("settling", 1.0)
 
     def bond(self) -> None:
-        """Bond all pairs of spheres that are close enough, if the scene has bonds, and hydrate some of the bonds."""
+        """Bond all pairs with a gap of at most `Bonds.gap`, if the scene has bonds, and hydrate some of the bonds."""
         scene = self.scene
         if scene.bonds is None:
             return

@@ -220,8 +220,8 @@ class Axis:
         """Return the pieces of the axis as dictionaries, each with the range of the coordinate along the piece.
 
         The coordinate is the length [m] along a line or the angle [rad] along an arc. The axis continues straight
-        beyond both of its ends. A line at an end of the axis therefore has no limit there, and an arc at an end is
-        followed by an additional unlimited line.
+        beyond both of its ends: the coordinate of a line at an end has no limit there, and if there is an arc at an
+        end, an unlimited line is added beyond it.
         """
         rows = []
         segments = self.segments()

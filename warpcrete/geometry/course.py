@@ -119,7 +119,7 @@ class Course:
         way = said.get("to")
         if way is None or bare_number(way) or is_amount(way, "degrees"):
             angle = said.get("angle", 45) if way is None else way
-            example = f"write the direction, and the angle unless it follows, as in 'bend: {{to: up, angle: {angle}}}'"
+            example = f"write the direction and, if needed, the angle, as in 'bend: {{to: up, angle: {angle}}}'"
             refuse(f"{field}: to", way, f"must be one of {', '.join(WAYS)}", example)
         one_of(f"{field}: to", way, WAYS)
         left = np.cross(UP, self.heading)

@@ -43,5 +43,8 @@ def _labelled(part: Part, label: str) -> Part:
 
 
 def _written(stated: Any, size: float, unit: float, name: str) -> str:
-    """Return the text `stated` if it has a customary unit; otherwise the `size` [m] in a `unit` [m] called `name`."""
+    """Return the text `stated` if it has a customary unit; otherwise the `size` [m] in the unit called `name`.
+
+    `unit` is the length of this unit [m].
+    """
     return str(stated).strip() if is_customary(stated) else f"{size / unit:.4g} {name}"

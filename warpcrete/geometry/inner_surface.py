@@ -38,7 +38,7 @@ tested at its centre, and at the weighted means for its three corners."""
 
 
 class InnerSurface:
-    """Inner wall of a pipe in a mesh: the facets that are visible from the pipe's axis; methods measure the bore.
+    """Inner wall of a pipe that is given as a mesh: the facets that are visible from the pipe's axis.
 
     The mesh of a real pipe has more surfaces than the inner wall: an outer skin, rims and lids. A facet belongs to the
     inner wall if nothing lies between the facet and the nearest point of the axis, and if the facet is not part of a

@@ -91,8 +91,8 @@ BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
 Japan Society of Civil Engineers (JSCE) gives an equivalent length of straight pipe for bends with radii of 0.5 and 1 m;
 BEND_RADIUS is the smaller of the two."""
 HOSE_FACTOR = 2.0
-"""Ratio of a hose's friction to the friction of straight pipe of the same length, for a hose whose length alone is
-known. The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""
+"""Ratio of a hose's friction to the friction of straight pipe of the same length, for a hose whose length is known, but
+not its course. The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""
 REDUCER_LENGTH = 1.0
 """Default length of a reducer [m]."""
 VALVE_DIAMETERS = 4.0

@@ -105,10 +105,14 @@ def _check_scale(field: str, scale: float, diameter: float) -> None:
     """
     limit = limit_of("diameter", "m")
     if limit is not None and not limit.low <= diameter <= limit.high:
-        option = "--wall-scale" if field == "wall_scale" else f"'{field}'"
         unit = "0.001 for a file in millimetres" if diameter > limit.high else "1 for a file in metres"
         problem = f"makes the bore {diameter:.4g} m wide where it begins, but {limit.why}"
-        refuse(field, scale, problem, f"use {option} {unit}")
+        refuse(field, scale, problem, f"{_option(field)}{unit}")
+
+
+def _option(field: str) -> str:
+    """Return the beginning of a hint on the scale of a mesh: the option of the command, or the part's entry."""
+    return "use --wall-scale " if field == "wall_scale" else "write 'scale' as "
 
 
 def scale_hint(field: str, scale: float, width: float, diameter: float) -> str:
@@ -116,8 +120,7 @@ def scale_hint(field: str, scale: float, width: float, diameter: float) -> str:
 
     `field` is the name of the scale, and `width` [m] is the width of the bore with the present `scale`.
     """
-    option = "--wall-scale" if field == "wall_scale" else f"'{field}'"
-    fitting = [f"use {option} {factor:g} for a file in {unit}" for unit, factor in FILE_UNITS.items()
+    fitting = [f"{_option(field)}{factor:g} for a file in {unit}" for unit, factor in FILE_UNITS.items()
                if factor != scale and abs(width / scale * factor / diameter - 1) <= DIAMETER_TOLERANCE]  # fmt: skip
     return next(iter(fitting), "")
 

@@ -19,7 +19,7 @@ from .mesh_parts import WAYS, Way, bore_of
 from .pipe_line import PipeLine
 
 IN_BENDS = Needs("unit", lambda unit: unit.startswith("bend"), "is a bend", refused=False)
-"""Rule for the dimensions of a bend, which have no effect if the unit of a part is straight."""
+"""Rule for the dimensions of a bend, which have no effect unless the parameter `unit` names a bend."""
 
 MAX_LENGTH_RATIO = 10_000
 """Largest length of a simulated pipe divided by the pipe's diameter."""
@@ -92,7 +92,7 @@ def joined(axis: Axis) -> Axis:
 
 
 def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
-    """Refuse a pipe that crosses the plane of its own inlet or outlet again, or is too long to be simulated.
+    """Refuse a pipe that crosses the plane of its own inlet or outlet twice, or is too long to be simulated.
 
     The inlet plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
     axis. The outlet plane crosses the end of the pipe at right angles and has no limit.
@@ -107,9 +107,9 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     ahead = (points - start) @ tangents[0]
     beside = np.linalg.norm(points - start - ahead[:, None] * tangents[0], axis=1) < aside + reach
     if np.any(ahead[(s > begin + 2 * reach) & beside] < reach):
-        problem = "returns across the plane of its inlet"
+        problem = "crosses the plane of its inlet again"
         refuse("line", f"{axis.length:.3g} m", problem, "shorten the line, or reduce the angles of its bends")
     behind = (points[-1] - points) @ tangents[-1]
     if np.any(behind[s < axis.length - 2 * reach] < reach):
-        problem = "returns across the plane of its outlet"
+        problem = "crosses the plane of its outlet before its end"
         refuse("line", f"{axis.length:.3g} m", problem, "shorten the line, or reduce the angles of its bends")

@@ -61,6 +61,7 @@ class Prescribed:
     """Angular velocity (x, y, z) of the wall about the point `pivot` at full speed, after the ramp [rad/s]. If the wall
     also has a velocity, this point moves with the wall."""
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Point (x, y, z) about which the wall rotates, at the start of the motion [m]."""
     ramp_time: float = 0.0
     """Duration of the linear rise of the wall's speed from zero [s]."""
     start_time: float = 0.0
@@ -93,8 +94,9 @@ class Driven:
     """
 
     direction: tuple[float, float, float]
+    """Direction (x, y, z) in which the wall can move, a vector of any length."""
     force: float
-    """Driving force on the wall in the direction of `direction` [N]; it may be negative."""
+    """Driving force on the wall along `direction` [N]; a negative force acts in the opposite direction."""
     mass: float
     """Mass of the wall [kg]."""
     damping: float = 0.0
@@ -166,8 +168,11 @@ class PlaneWall(_Wall):
 
     name: str
     point: tuple[float, float, float]
+    """A point (x, y, z) of the plane at the start [m]."""
     normal: tuple[float, float, float]
+    """Normal (x, y, z) of the plane, of any length; it points to the material."""
     material: str = "wall"
+    """Name of the material that determines the contacts of the wall."""
     motion: Motion | None = None
     drawn_radius: float = 0.0
     """Radius of the disc that recorders draw for the plane [m]; with 0, no disc is drawn."""

@@ -54,8 +54,8 @@ class CoarseGrid:
     def _neighbours(self) -> np.ndarray:
         """Return for each cube the index of the cube itself and of all cubes around it, shape (3^axes, cubes).
 
-        An index of -1 means that there is no cube at this place. The first dimension runs over the offsets from the
-        cube, from -1 to 1 along each axis, in which the first axis varies fastest.
+        An index of -1 means that there is no cube at this place. Each entry of the first dimension belongs to one
+        offset from the cube, which is -1, 0 or 1 along each axis; the offset along the first axis varies fastest.
         """
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)

@@ -71,9 +71,9 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return what is left of the yield stress gained at rest [Pa]: in the slip layer, and in the concrete at the wall.
+    """Return the remaining part of the yield stress gained at rest [Pa], in the slip layer and in the concrete.
 
-    Each value is a mean along the wall. The result is empty for concrete without thixotropy.
+    Both values are means along the wall. The result is empty for concrete without thixotropy.
     """
     if not flow.state.layout.kind.thixotropic:
         return {}

@@ -24,9 +24,8 @@ from .common.stepping import Stepping
 from .stages import step_by_one_thread, step_stages
 from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 
-# Skin of the neighbour lists, in particle spacings: the lists contain pairs whose distance exceeds the range of the
-# differential operators by at most this skin. Positions are relative to the piston and change slowly, so the lists last
-# about eighty steps.
+# Skin of the neighbour lists, in particle spacings: the lists contain all pairs up to the range of the differential
+# operators plus this skin. Positions are relative to the piston and change slowly, so lists last about eighty steps.
 SKIN = 0.1
 # Fraction of the density error, the relative excess of each particle's density sum, that one step removes.
 CORRECTION = 0.2

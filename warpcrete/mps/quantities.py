@@ -20,8 +20,8 @@ THEORY_COLUMNS = ("pressure", "slip_velocity", "wall_stress")
 """Columns of the time series for which theory gives a value."""
 UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
 MEANINGS = {
-    "pressure": "Pressure on the piston or over the stretch, with the weight of the concrete; without it if `gravity` "
-    "is 0",
+    "pressure": "Pressure on the piston, or pressure difference over the stretch; includes the weight of the concrete "
+    "unless `gravity` is 0",
     "slip_velocity": "Velocity of the concrete at the wall",
     "wall_stress": "Mean shear stress on the wall",
 }
@@ -114,8 +114,8 @@ def _restarted(of):
 def _restart_text(run: Run) -> str:
     peak, whole = (number(run.result[name]) / 1e3 for name in ("restart_pressure", "restart_pressure_theory"))
     return (
-        f"{peak:.4g} kPa, {run.result['restart_over_steady']:.3g} times the steady pressure by theory   (theory with "
-        f"all of the structure: {whole:.4g})"
+        f"{peak:.4g} kPa, {run.result['restart_over_steady']:.3g} times the steady pressure by theory   (theory for "
+        f"unbroken structure: {whole:.4g})"
     )
 
 
@@ -129,9 +129,9 @@ QUANTITIES = (
              _restart_text, True,
              meaning="Largest pressure after the rest, with the weight of the concrete"),
     Quantity("restart_pressure_theory", "Pa", _restarted(lambda k: k.scene.restart().pressure),
-             meaning="Pressure by theory directly after the rest, when no structure is broken yet"),
+             meaning="Theoretical pressure directly after the rest, before flow breaks the thixotropic structure"),
     Quantity("restart_over_steady", "1", _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure),
-             meaning="`restart_pressure` divided by the steady pressure by theory"),
+             meaning="`restart_pressure` divided by the theoretical steady pressure"),
     Quantity("profile_error", "1", lambda k: k.mean("profile_deviation") / k.scene.velocity, "profile",
              lambda run: f"rms deviation from theory {100 * run.result['profile_error']:.2f} % of the mean velocity",
              True,
@@ -139,7 +139,7 @@ QUANTITIES = (
     Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"]),
              meaning="Largest relative change of the volume of the concrete"),
     Quantity("force_balance_error", "1", lambda k: k.mean("force_balance_error"),
-             meaning="Unbalanced part of weight, wall friction and inertia, divided by the driving force"),
+             meaning="Driving force minus weight, wall friction and inertia, divided by the driving force"),
 )  # fmt: skip
 
 

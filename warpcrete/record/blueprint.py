@@ -19,7 +19,7 @@ column.
 AREA = 1.15
 """Width over height of the area that all views of the scene share, in a window of 1400 by 900 pixels."""
 FIELD = np.radians(55.0)
-"""Vertical angle of view of the viewer's camera."""
+"""Vertical angle of view of the viewer's camera [rad]."""
 MARGIN, ROOM = 1.06, 1.5
 """Distance of the camera, divided by the smallest distance from which a view shows the whole scene. The larger value
 applies to aggregates that spread out of a vessel."""
@@ -167,7 +167,7 @@ def _axes(display: Display) -> np.ndarray:
 def _on_screen(display: Display) -> np.ndarray:
     """Return the corners of the scene and the vertices of its walls at the start, in camera coordinates, shape (n, 3).
 
-    The coordinates [m] are the distances to the right, upwards and ahead, as seen from the camera.
+    The coordinates [m] run along the directions to the right, upwards and ahead of the camera.
     """
     places = [np.stack(np.meshgrid(*display.bounds().T), -1).reshape(-1, 3)]
     for number, wall in enumerate(display.walls()):

@@ -120,7 +120,7 @@ class RunFolder:
 
 
 def check_of(scene: Any) -> Check | None:
-    """Return the acceptance check of a scene, which its scene function defines.
+    """Return the acceptance check that belongs to the scene function of a scene.
 
     For a scene that was built in Python without a scene function, return the check of its simulation method, or None.
     """

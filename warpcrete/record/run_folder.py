@@ -196,7 +196,7 @@ class TableRecorder(Recorder):
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
-    """Raise :class:`RunFolderError` if the scene.json at `path` and the new contents `record` differ in the run."""
+    """Raise :class:`RunFolderError` unless the scene.json at `path` describes the same run as `record`."""
     there, here = read_json(path), json.loads(json.dumps(record))
     difference = _difference({name: there.get(name) for name in SAME_RUN}, {name: here[name] for name in SAME_RUN})
     if difference:

@@ -40,7 +40,7 @@ def describe(stage: Any, display: Display, scene: Any) -> None:
 
 
 def light(stage: Any, display: Display) -> None:
-    """Add a sky light, and a sun that shines on the scene from above and from the side of the camera."""
+    """Add a sky light, and a sun that shines from a direction above and beside the camera."""
     from pxr import Gf, UsdGeom, UsdLux
 
     UsdGeom.Scope.Define(stage, "/Run/Lights")

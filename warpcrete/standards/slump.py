@@ -93,7 +93,7 @@ J_RING = StandardTest(
     quantities=(
         *SLUMP.quantities,
         Quantity("blocking_step", "m", lambda k: k.last("top") - k.last("outside"), "blocking step", None, True,
-                 meaning="Height of the concrete in the middle of the ring above that just outside the ring"),
+                 meaning="Height of the concrete in the middle of the ring minus its height just outside the ring"),
     ),
     on_plate=True,
     ring=lambda size: 0.5 * size["ring_diameter"],

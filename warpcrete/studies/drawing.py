@@ -254,9 +254,10 @@ class _TheoryCurves:
     def __init__(self, study: Any) -> None:
         self.study, self.module = study, modules().get(study.scene)
         self._known: dict[tuple[Any, ...], list[tuple[float, Mapping[str, float]]]] = {}
-        """For each case and varied parameter: values of this parameter, and for each value all quantities by theory.
+        """Points of the theoretical curves, by case and varied parameter: pairs of a value of this parameter and all
+        quantities by theory.
 
-        A closed form returns all quantities of a scene at once. The quantities in a figure therefore share the scenes.
+        A closed form returns all quantities of a scene at once, so they are stored for the other panels of the figure.
         """
 
     def between(

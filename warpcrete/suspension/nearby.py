@@ -24,7 +24,7 @@ Distance = Callable[[np.ndarray], np.ndarray]
 
 
 def draw_between(low: np.ndarray, high: np.ndarray) -> Draw:
-    """Return a function that draws points evenly between two corners of a box [m]."""
+    """Return a function that draws random points, distributed uniformly in the box between two corners [m]."""
     return lambda rng, count: rng.uniform(low, high, (count, 3))
 
 

@@ -44,7 +44,7 @@ def aggregates_within(
     scene: SphereFields, volume: float, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
     periodic: bool = False, draw: Draw | None = None,
 ) -> Aggregates:  # fmt: skip
-    """Return randomly placed aggregates between the corners `low` and `high` of a box [m], as `random_places` does.
+    """Return aggregates at random places between the corners `low` and `high` of a box [m], without overlaps.
 
     `volume` is the volume of the concrete [m3], of which the aggregates fill the fraction that the scene states.
     Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
@@ -92,8 +92,8 @@ def random_places(
 
     The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
     Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
-    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis. `draw`
-    draws the places at the start; None draws them evenly between the corners.
+    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis. The
+    function `draw` draws the places at the start; None draws them uniformly between the corners.
     """
     period = high[2] - low[2] if periodic else 0.0
     centres = _start(radii, draw or draw_between(low, high), distance, rng)

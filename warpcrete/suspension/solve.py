@@ -212,7 +212,7 @@ class CoupledSolve:
         return self.product.faces.numpy().astype(float).reshape(3, *self.flow.state.shape)
 
     def _present(self) -> Any:
-        """Return the vector of the present velocities, which uses the arrays of `self.product`."""
+        """Return the vector of the present velocities, stored in the arrays of `self.product`."""
         flow, bodies = self.flow, self.flow.aggregates.bodies
         present = self.product
         for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):

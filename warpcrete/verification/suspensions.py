@@ -40,7 +40,7 @@ CLOSED = ((WALL, WALL),) * 3
 
 @dataclass(frozen=True)
 class _Settings:
-    """Settings that a flow on the grid reads from its scene, here for a mortar that fills the whole box."""
+    """Replacement for a scene, with the settings that a flow on a grid reads; mortar fills the whole box."""
 
     concrete: Concrete
     time_step: float

@@ -30,7 +30,7 @@ COUETTE_ERROR = "error of the velocity, rms, over the speed of the wall"
 
 @dataclass(frozen=True)
 class _Paste:
-    """Paste and settings of the solver, as a flow on a grid reads them from its scene."""
+    """Replacement for a scene, with the constants of the paste and the settings that a flow on a grid reads."""
 
     concrete: Concrete
     time_step: float

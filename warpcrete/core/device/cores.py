@@ -43,7 +43,7 @@ def thread_pinner(threads: int) -> Callable[[], None]:
 
 
 def core_waiting_time(thread: int) -> float:
-    """Return the total time since a thread's start in which it was ready to run but had no core [s]; 0 if unknown.
+    """Return how long a thread has been ready to run without a core, in total since its start [s]; 0 if unknown.
 
     `thread` is the native id of a thread of this process. Linux reports the time in
     `/proc/self/task/THREAD/schedstat`.

@@ -140,7 +140,10 @@ def checked_threads(threads: int | None) -> int:
 
 
 def memory_free(device: wp.Device) -> float:
-    """Return the free memory of a device [B]; for a CPU, the available main memory, or infinity if unknown."""
+    """Return the free memory of a device [B].
+
+    For a CPU, this is the available main memory, or the total main memory if only this is known, or else infinity.
+    """
     if device.is_cuda:
         return float(device.free_memory)
     try:

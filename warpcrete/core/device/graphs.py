@@ -1,4 +1,4 @@
-"""Sequences of kernel launches recorded as graphs, each of which the host starts with a single launch."""
+"""Graphs of kernel launches: recorded sequences, which the host starts with a single launch."""
 
 import gc
 import threading
@@ -43,7 +43,7 @@ def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
 def _lock_collections() -> None:
     """Make garbage collections hold the lock `_collecting_or_capturing` from now on.
 
-    If a collection is running, which does not hold the lock yet, wait until it has ended.
+    If a collection is running already, it does not hold the lock, so wait until it has ended.
 
     The first capture calls this function, so a program that captures no graph has no callback of the collector. Python
     drops exceptions inside such a callback: a Ctrl-C that arrives there is lost.

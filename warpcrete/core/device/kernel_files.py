@@ -1,4 +1,4 @@
-"""Files of the compiled kernels that a block of code uses, and errors in writing them."""
+"""Files of the compiled kernels that a block of code uses, and errors in reading or writing these files."""
 
 import errno
 from collections.abc import Generator
@@ -34,7 +34,7 @@ def kernel_files() -> Generator[set[Path]]:
 def kernel_cache_errors() -> Generator[None]:
     """Raise :class:`DeviceError` if the `with` block cannot read or write Warp's files of compiled kernels.
 
-    If the disk is full, raise :class:`DiskFullError` instead, so that the run reports a full disk as its end.
+    If the disk is full, raise :class:`DiskFullError` instead, so that the run reports a full disk as its reason to end.
     """
     try:
         yield

@@ -76,7 +76,7 @@ class Curve:
     """Curve of a quantity over time, in a plot."""
 
     name: str
-    """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
+    """Name of the curve; a recording stores the curve under the path of its plot, followed by this name."""
     label: str
     """Text for the curve in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
@@ -98,7 +98,7 @@ class Points:
     """Curve of a quantity over a spatial coordinate at one time, as part of a :class:`Profile`."""
 
     name: str
-    """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
+    """Name of the curve; a recording stores the curve under the path of its plot, followed by this name."""
     read: Callable[[], tuple[np.ndarray, np.ndarray]]
     """Function that returns coordinates and values, each of shape (n,), in the units stated in the profile's title."""
     colour: tuple[int, int, int]
@@ -348,7 +348,8 @@ class Display(ABC):
     def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
         """Return a camera position and the point to look at, both of shape (3,) [m].
 
-        The camera is at `distance` times the diagonal of the box around the scene, in the direction `direction`.
+        The camera is in the direction `direction` from the centre of the scene. Its distance is `distance` times the
+        diagonal of the box around the scene.
         """
         lower, upper = self.bounds()
         centre = 0.5 * (lower + upper)

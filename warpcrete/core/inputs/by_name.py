@@ -2,7 +2,7 @@
 
 A parameter `contact` takes an object, or the name of its class: either a short name, or `package.module:Class`. Each
 field of that class becomes a parameter of its own, `contact_FIELD`; fields of nested objects are flattened in the same
-way. Records and the command line store an object only as its class name and these numbers.
+way. Records and command lines describe an object only by its class name and these numbers.
 
 Importing a class runs the code of its module. A class named in Python or on the command line is imported. A class named
 in a file is imported only if its module is loaded already, or if the user trusts the file (`warpcrete --trust`).

@@ -88,8 +88,8 @@ class Needs:
     refused: bool = True
     """True if a parameter without effect is an error.
 
-    If False, it gives a warning only, because a study may compare other cases with a case in which the parameter has no
-    effect.
+    If False, it only causes a warning, because a study may vary this parameter together with another one, so that it
+    has no effect in some cases.
     """
 
     @property

@@ -143,7 +143,7 @@ class SceneFunction(Generic[P, S]):
     def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:
         """Return the parameters with each object replaced by its class name and numbers.
 
-        The second result has the names of parameters whose objects cannot be made again from these plain values.
+        The second result contains the names of parameters whose objects cannot be made again from these plain values.
         """
         values: dict[str, object] = {}
         unwritable: list[str] = []

@@ -25,8 +25,8 @@ class CheckpointedSimulation(SimulationBase):
     def save(self, path: Path) -> None:
         """Write a checkpoint of the present state, which takes effect once all recorders have written their data.
 
-        If this fails, the previous checkpoint remains, from which every recorder can go on. Raises
-        :class:`RunFolderError`.
+        If a file cannot be written, raise :class:`RunFolderError`. The previous checkpoint then remains, from which
+        every recorder can go on.
         """
         try:
             self._write_state(path)

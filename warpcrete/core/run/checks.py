@@ -1,4 +1,4 @@
-"""Acceptance checks of finished runs, with the command option that usually cures a failed check."""
+"""Acceptance checks of finished runs, with the usual remedy for each failed check."""
 
 from collections.abc import Callable, Mapping
 from functools import wraps

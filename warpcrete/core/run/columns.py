@@ -1,4 +1,4 @@
-"""Columns of a table of numbers, which print as a summary: unit, first, last, smallest and largest value of each."""
+"""Columns of a table of numbers, and their summary: the unit and the first, last, smallest and largest value."""
 
 from __future__ import annotations
 

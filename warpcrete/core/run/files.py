@@ -25,7 +25,7 @@ SPACE_MARGIN = 1 << 20
 
 @contextmanager
 def atomic_file(path: Path) -> Generator[Path]:
-    """Yield a temporary path next to `path`; at the end of the `with` block, the file there replaces `path`.
+    """Yield a temporary path next to `path`; the file written there replaces `path` at the end of the `with` block.
 
     If the block fails, the temporary file is removed. An error of the operating system becomes a
     :class:`RunFolderError` that names the file.

@@ -166,7 +166,7 @@ def make_folder(folder: Path) -> FolderLock:
 def new_folder(folder: Path) -> Generator[None]:
     """Create a new folder with its parents, and hold its lock inside the `with` block.
 
-    After the block, remove the folders among them that are still empty.
+    After the block, remove each of the created folders that is still empty.
     """
     hold = make_folder(folder)
     try:

@@ -27,6 +27,7 @@ class Forecast:
     memory: Mapping[str, float]
     """Device memory of each part of the simulation [B], by the name of the part."""
     time_step: float
+    """Expected size of the time steps [s]."""
     limits: Mapping[str, float]
     """Largest time step that each limiting effect alone would allow [s], by the name of the effect."""
     governing: str

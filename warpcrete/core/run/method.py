@@ -118,7 +118,7 @@ class Method:
     an error for each simulation."""
     draw: Callable[[Any, Run, str | None], Figure | None] | None = None
     """Function that draws the picture of a run folder. It takes the simulation, its run and the quantity that colours
-    the bodies, and returns a Matplotlib figure, or None if there is nothing to draw. By default, `show` draws it."""
+    the bodies, and returns a Matplotlib figure, or None if there is nothing to draw. If None, `show` draws it."""
     more_pictures: Callable[[Run], Mapping[str, Figure | None]] = lambda run: {}
     """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
     if there is nothing to draw."""
@@ -152,7 +152,7 @@ class Method:
     def quantities(self) -> tuple[Quantity, ...]:
         """All quantities that runs of this simulation method may have.
 
-        Each access creates a new list, because users may add standard tests with quantities of their own meanwhile.
+        Each access creates a new list, because the user may have added standard tests with quantities of their own.
         """
         return self.list_quantities()
 

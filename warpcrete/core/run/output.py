@@ -33,10 +33,10 @@ _without_folder: Callable[[Any], Sequence[Any]] | None = None
 
 
 def register_folders(folder_at: Callable[[Path], RunOutput], without_folder: Callable[[Any], Sequence[Any]]) -> None:
-    """Register the function that makes a :class:`RunOutput` with default settings from the path of a folder.
+    """Register the two functions that the run loop needs from the package `record`.
 
-    `without_folder` takes a simulation without a folder, and returns the recorders that it has in addition to the
-    user's recorders.
+    `folder_at` takes the path of a folder and returns a :class:`RunOutput` with default settings. `without_folder`
+    takes a simulation without a folder and returns the recorders that it has in addition to the user's recorders.
     """
     global _folder_at, _without_folder
     _folder_at, _without_folder = folder_at, without_folder

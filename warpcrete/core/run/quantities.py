@@ -1,4 +1,4 @@
-"""Quantities of a run as numbers that know their units."""
+"""Quantities of a run as numbers with units."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def declare_conditions(scene_type: type, conditions: Callable[[], Mapping[str, s
 def conditions_of(scene: object) -> Mapping[str, str]:
     """Return the conditions under which runs of a scene have certain quantities, by the name of the quantity.
 
-    The conditions are sentences for messages. Each simulation method declares its own conditions, because quantities of
+    The conditions are texts for messages. Each simulation method declares its own conditions, because quantities of
     several methods may have the same name. If the type of the scene belongs to no method, for example because the scene
     of a folder cannot be built again, the result contains only conditions on which all methods agree.
     """
@@ -42,7 +42,7 @@ def conditions_of(scene: object) -> Mapping[str, str]:
 
 
 class Amount(float):
-    """Number that knows its unit; it computes and compares like a plain number.
+    """Number with the attribute `unit`; it computes and compares like a plain number.
 
     Quantities of runs are in SI units. Results of arithmetic are plain numbers, because their units may differ.
     """

@@ -92,7 +92,7 @@ class Recording:
             run.finished = run.result["finished"] = False
 
     def mark_incomplete(self) -> None:
-        """Write the results again, which now state that the run is not complete.
+        """Write the results again, now with the entry that the run is not complete.
 
         This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from. Recorders
         that are `expendable` write no results.
@@ -121,9 +121,10 @@ def class_name_of(recorder: Recorder) -> str:
 
 
 def disk_full_error(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
-    """Return the error to raise for a run that a full disk has ended; it names all files in the `errors` of recorders.
+    """Return the error to raise for a run that a full disk has ended.
 
-    `kept` is the simulated time of the state on disk [s], or None if there is no state on disk.
+    `errors` are the errors of the run's recorders, and the message names all files that they mention. `kept` is the
+    simulated time of the checkpoint on disk [s], or None if there is no checkpoint.
     """
     first = " ".join(str(errors[0]).split()).partition("; files written so far")[0]
     more = [text.partition(": ")[0] for text in dict.fromkeys(map(str, errors[1:])) if not text.startswith(first)]

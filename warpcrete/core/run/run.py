@@ -63,9 +63,11 @@ class Run:
     result: dict[str, Any]
     """Quantities of the whole run: `{"value", "unit"}` if a quantity has a unit, otherwise a plain number."""
     finished: bool
+    """True if the run reached its end and all its files were written."""
     interrupted: bool = False
     """True if an interruption (Ctrl-C or SIGTERM) ended the run at once, before the next row of the time series."""
     folder: Path | None = None
+    """Run folder; None if the run wrote none."""
     tables: dict[str, Table] = field(default_factory=dict[str, Table])
     """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""
     final_state: FinalState | None = field(default=None, init=False, compare=False)
@@ -127,7 +129,7 @@ class Run:
 
     @property
     def quantities(self) -> Quantities:
-        """Quantities of the whole run by name, as numbers in SI units that know their unit."""
+        """Quantities of the whole run by name, as numbers in SI units; the attribute `unit` of a number is its unit."""
         return Quantities.of(self.result)
 
     def table(self) -> DataFrame:

@@ -199,8 +199,8 @@ class Simulation(CheckpointedSimulation):
     def write_run(self, run: Run, contents: dict[str, Any]) -> None:
         """Write the run folder of the `run`, which has ended already, without simulating the scene again.
 
-        `contents` is the contents of a checkpoint of the run's final state. Recordings have all rows of the time
-        series, but only the last frame. The folder of an unfinished run also holds a checkpoint.
+        `contents` holds the data of a checkpoint of the run's final state. Recordings have all rows of the time series,
+        but only the last frame. The folder of an unfinished run also holds a checkpoint.
         """
         self._ended_run, self.stop_requested, self.resumes = run, not run.finished, True
         try:
@@ -308,7 +308,7 @@ class Simulation(CheckpointedSimulation):
         return Ending(*self.why_ended(), time) if finished else interruption(time)
 
     def _keep_final_state(self, run: Run) -> None:
-        """Keep the final state in host memory, from which `run.save` can write a run folder, unless it is large."""
+        """Keep the final state in host memory unless it is large, so that `run.save` can write a run folder."""
         if number_of(run.result["speed"]["memory"]) > MAX_KEPT_MEMORY:
             return
         settings = {

@@ -23,7 +23,9 @@ class Table:
     """Table of a run's results over a coordinate, such as the radius: columns of equal length, and their units."""
 
     columns: dict[str, np.ndarray]
+    """Arrays of shape (n,) by the name of the column."""
     units: dict[str, str]
+    """Unit of each column, by the column's name."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", Columns(self.columns, self.units))
@@ -67,10 +69,10 @@ def dataset(
 ) -> Any:
     """Return columns as an xarray Dataset with one dimension, whose coordinate is the column `index`.
 
-    The unit of each variable is in `attrs["units"]`, from which xarray's plots and pint read it, with exponents as in
-    "m^3/s", which pint requires. Its name in words is in `attrs["long_name"]`. `attributes` become the attributes of
-    the whole Dataset. Raises :class:`WarpcreteError` if xarray is not installed; the message
-    names `instead`, such as "the arrays in run.series", as another way to get the data.
+    The attribute `attrs["units"]` of each variable is its unit, for xarray's plots and for pint, which requires
+    exponents as in "m^3/s". The attribute `attrs["long_name"]` is its name in words. `attributes` become the attributes
+    of the whole Dataset. Raises :class:`WarpcreteError` if xarray is not installed; the message names `instead`, such
+    as "the arrays in run.series", as another way to get the data.
     """
     try:
         xarray: Any = importlib.import_module("xarray")

@@ -19,7 +19,7 @@ class WallTimes:
         self._rows: tuple[tuple[int, float], tuple[int, float]] | None = None
 
     def restore(self, phases: Mapping[str, float]) -> None:
-        """Restore the wall times of the phases of a run, such as packing [s], which were stored in a checkpoint."""
+        """Restore the wall times [s] of the phases of a run, such as packing, from the data of a checkpoint."""
         self.phases = dict(phases)
         self._before_resume = phases["running"]
         self.note_checkpoint()

@@ -5,8 +5,8 @@ listed pair encodes the kind of the bond and the number of this row. A bond keep
 neighbour lists are rebuilt.
 
 In a half list (CPU), a pair whose spheres belong to different threads is computed by both threads. Every bond therefore
-has two rows, one for each thread. If contacts can heal (form bonds during the run), any listed pair may become bonded.
-Every entry of the list then has a row of its own.
+has two rows, one for each thread. If contacts can form bonds during the run (healing), any listed pair may become
+bonded, so every entry of the list has a row of its own.
 """
 
 import numpy as np

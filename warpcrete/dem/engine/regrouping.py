@@ -1,4 +1,4 @@
-"""Regrouping: move the scenes of a batch that still run to a smaller batch once most of the scenes have ended.
+"""Regrouping: once most scenes of a batch have ended, move the running scenes to a smaller batch.
 
 Every kernel visits all scenes of a batch, so ended scenes still cost time.
 """

@@ -1,6 +1,6 @@
 """Scheduling of many scenes: each scene has a coroutine that yields goals, and a batch steps towards all goals.
 
-Only this module knows how the coroutines of runs, packings and single steppers become launches of a batch.
+Only this module turns the goals of coroutines (of runs, packings and single steppers) into launches of a batch.
 """
 
 import time

@@ -71,7 +71,7 @@ class PipeContainer:
         return min(2 * self.radius, self.length)
 
     def walls(self, material: str) -> tuple[Wall, ...]:
-        """Return the pipe's wall and the two end planes as walls of the contact `material`."""
+        """Return the pipe's wall and both end planes; their contacts follow the laws of `material`."""
         points, tangents = self.axis.at([0.0, self.length])
         ends = (
             PlaneWall(name="start", point=tuple(points[0]), normal=tuple(tangents[0]), material=material),
@@ -123,7 +123,7 @@ class MeshContainer:
         return float(self.mesh.extents.min())  # type: ignore[attr-defined]
 
     def walls(self, material: str) -> tuple[Wall, ...]:
-        """Return the mesh as a wall of the contact `material`."""
+        """Return the mesh as a wall whose contacts follow the laws of `material`."""
         return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
 
     def pilot(self) -> MeshContainer:

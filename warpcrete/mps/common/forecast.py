@@ -46,7 +46,7 @@ def flow_forecast(
     probe: Probe,
     *,
     limits: Mapping[str, float] | None = None,
-    governing: str = "choice: solves are implicit, so that viscosity and pressure set no limit",
+    governing: str = "choice: solves are implicit, so viscosity and pressure set no limit",
 ) -> Forecast:
     """Return the forecast of a flow's run time.
 
@@ -136,8 +136,8 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
     reached = float(run.result["simulated_time"]["value"])
     if not run.finished:
         remark = (
-            f"a coarser copy of this flow reached {reached:.2g} s in {COPY_TIME:g} s of wall time, and {unmet} there; "
-            f"the forecast of steps and wall time is for {simulation.duration:g} s"
+            f"a coarser copy of this flow reached {reached:.2g} s in {COPY_TIME:g} s of wall time, but {unmet} then; "
+            f"the forecast of steps and wall time assumes {simulation.duration:g} s"
         )
         return run, simulation.duration, [remark]
     return run, reached, [] if steady else [f"{unmet} within {reached:g} s"]
@@ -158,7 +158,7 @@ def step_time(simulation: Any) -> float:
 
 
 def _steps_at_once(flow: Any) -> int:
-    """Return the number of steps to time together: as many as take `TIMING_TIME`, but from one to `TIMED_STEPS`."""
+    """Return how many steps to time together: as many as fit into `TIMING_TIME`, at least 1, at most `TIMED_STEPS`."""
     _, once = timed(lambda: flow.take(1), flow.device)
     return max(1, min(TIMED_STEPS, int(TIMING_TIME / max(once, 1e-9))))
 

@@ -116,7 +116,7 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the section of a concrete's file that states these parameters, and its allowed entries."""
+        """Return the name of the section of a concrete's file with these parameters, and the entries it may have."""
         return "flow", CONSTANTS
 
     @classmethod

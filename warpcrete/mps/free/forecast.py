@@ -72,7 +72,7 @@ def course_of(simulation: FreeSimulation) -> Course:
     outflow = scene.test.outflow if scene.test else None
     estimate = expected(scene).get(outflow.time) if outflow else None
     if outflow and estimate is None:
-        note = "no closed form tells when the vessel is empty; the yield stress may hold the concrete back"
+        note = "theory gives no time in which the vessel empties; the yield stress may hold the concrete back"
         return Course(scene.duration, scene.time_step, [note])
     # The bars of a vessel do not limit the cells of the coarser copy. If they did, these cells would be as small as the
     # cells of the scene itself.

@@ -50,7 +50,7 @@ class RunData:
 
 QUANTITIES = (
     Quantity("rest_speed", "m/s", lambda k: float(k.series[MOST if MOST in k.series else FASTEST][-1]),
-             meaning="Speed at the end that no part of the concrete, or nine tenths of it in an L-box, exceed"),
+             meaning="Speed at the end that no part of the concrete exceeds (in an L-box, nine tenths of it)"),
     Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"]),
              meaning="Largest relative change of the volume of the concrete"),
 )  # fmt: skip

@@ -27,7 +27,7 @@ class GridDisplay(Display):
     noun: ClassVar = "concrete"
     has_surface: ClassVar = True
     relative_radius: ClassVar[float] = 0.45
-    """Radius of a drawn particle, in particle spacings, if all particles are drawn."""
+    """Radius of a drawn particle divided by the particle spacing, if all particles are drawn."""
 
     @property
     def _layout(self) -> GridLayout:
@@ -35,7 +35,7 @@ class GridDisplay(Display):
 
     @property
     def palette(self) -> str:
-        """Name of the colour map: for shear rates `concrete`, from grey to darker colours; viridis for other fields."""
+        """Name of the colour map: "concrete" (from grey to darker colours) for shear rates, else "viridis"."""
         return "concrete" if self.colouring == "shear" else "viridis"
 
     @property

@@ -61,7 +61,7 @@ def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> 
 def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, int] = (0, -1)) -> Distance:
     """Return a function that gives the signed distance of points from a polygonal wall [m], negative inside the wall.
 
-    The corners have two coordinates, along the two `axes`. Along any other axis the wall has no ends.
+    The corners have two coordinates, along the two `axes`. The wall extends without end along any other axis.
     """
     a = np.array(corners, float)
     b = np.roll(a, -1, 0)

@@ -172,7 +172,7 @@ def _open_part(corners: np.ndarray, wall: np.ndarray, axis: int) -> np.ndarray:
 def _swept_fractions(
     room: Room, walls: Sequence[tuple[Distance, int]], part: Sequence[np.ndarray], sides: np.ndarray
 ) -> np.ndarray:
-    """Return the part of each face's area that only moving walls close, as a fraction, shape (axes, *shape).
+    """Return the fraction of each face's area that is closed by moving walls alone, shape (axes, *shape).
 
     `part` holds the open fractions of faces, one array for each axis, and `sides` is the mask of the cells beyond walls
     and mirrors on sides of the box. The result is empty if no wall moves.

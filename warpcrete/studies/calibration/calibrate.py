@@ -38,8 +38,8 @@ from .targets import Target, Task, found_in, read_task, task_of
 RECORD = "calibration.json"
 Progress = Callable[[str, float, dict[str, Any]], None]
 COARSE_ERROR = 0.1
-"""Standard deviation of the error of coarse runs, as a fraction of the measured value. It only widens the region in
-which the first full trials lie."""
+"""Assumed standard deviation of the error of coarse runs, as a fraction of the measured value. It only determines how
+wide the region is from which the first full trials are taken."""
 SETTLED_ERROR_RATIO = 0.5
 """Largest ratio of the Gaussian-process emulator's standard error to the uncertainty of a target (a standard deviation)
 at which the emulator counts as accurate enough. The search ends when this holds for all targets and the posterior no

@@ -8,8 +8,8 @@ from ..cases import is_random
 from .targets import Target, Task
 
 COARSENING = (2.0, 1.5)
-"""Ratios of the cell width in a coarse run to that in a full run. The first ratio that the scene accepts is used. Runs
-of slump test and V-funnel with cells twice as wide took 0.16 times as long (16 coarse and 9 full ones, two cores)."""
+"""Cell width in a coarse run, divided by the cell width in a full run; the first ratio that the scene accepts is used.
+With cells twice as wide, runs of the slump test and the V-funnel took 0.16 times as long (measured on two cores)."""
 WIDEST = 2.0
 """Largest cell width in a coarse run, divided by the default cell width of the scene. Wider cells hardly tell soft
 concretes apart: with 2.7 times the default width, slump tests with spreads of 597, 608 and 671 mm (default cells) gave

@@ -37,16 +37,16 @@ TRAVEL_DIAMETERS = 4.0
 recognises concrete that stands still only after a travel of up to two diameters."""
 MAX_SEEDS = 10_000
 FRICTION = 0.5
-"""Coefficient of friction between stones, as for dry stones.
+"""Smallest coefficient of friction between stones in simulations of blocking; it is typical of dry stones.
 
-An arch forms where the mortar has been squeezed out between the stones. With this friction, stones of one size block a
+Stones form an arch where the mortar between them has been squeezed out. With this friction, stones of one size block a
 funnel that is up to three times as wide as the stones, which is the limit of ACI 304.2R for crushed stones. With the
 friction of 0.05 of Zhan et al. (2019), stones of half the width of the bore still passed.
 """
 MODULUS = 2e6
-"""Smallest elastic modulus of the stones in simulations of blocking [Pa]; stones that the user made softer get this
-modulus. Softer stones squeeze through bores that would block. Earlier simulations of funnels, which checked the
-friction between stones, used this modulus."""
+"""Smallest elastic modulus of the stones in simulations of blocking [Pa]; softer stones get this modulus, because they
+would squeeze through bores that block in reality. The simulations of funnels from which :data:`FRICTION` was chosen
+used this modulus."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 

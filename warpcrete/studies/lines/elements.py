@@ -59,7 +59,7 @@ MIN_FLUX_RATIO = 0.8
 """Outflow of elements from a part, divided by the inflow into this part, below which a remark warns the user that the
 concrete is still being compressed."""
 TOO_SHORT = "is too short to measure its pressure loss: elements fill too few of the slices in which it is measured"
-"""Error message for a part whose simulation gives no pressure loss."""
+"""Problem stated in the error message for a part whose simulation gives no pressure loss."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 

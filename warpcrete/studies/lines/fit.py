@@ -27,9 +27,9 @@ from .taps import SAME_FLOW, Tap, at_one_flow, is_free
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
 REVERSED = 1.1
-"""Largest accepted ratio of two frictions at the same flow. One is the friction from a gauge to the end of the line. It
-is divided by the friction from another gauge, nearer to the pump, to the end of the line. The true ratio is below 1;
-the tolerance is for errors of gauges that are close to each other."""
+"""Largest accepted ratio of the friction between a gauge and the end of the line to the friction between a gauge nearer
+to the pump and the end of the line, at the same flow. The true ratio is below 1; the measured one may be larger if the
+gauges have errors and are close to each other."""
 DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
@@ -42,9 +42,8 @@ larger fitted value hardly changes the friction any more, so it means that no sl
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
 """Reason why the friction factor of bends was left out of a fit."""
 NOTHING = {1: 1e-3, 2: FACTORS[0]}
-"""Limits below which a fitted constant cannot be distinguished from zero, so that it gets its default value. The key 1
-stands for the yield stress of the slip layer [Pa], and the key 2 for the friction factor of bends, whose limit is the
-smallest factor that the file of a line may state."""
+"""Limits below which a fitted constant counts as indistinguishable from zero, by the index of the constant: 1 is the
+yield stress of the slip layer [Pa], and 2 is the factor of bends. A constant below its limit is left out of the fit."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 GAUGE = 0.04
@@ -55,8 +54,8 @@ READING = 0.25
 that differs from reading to reading, for example because the pressure pulsates. With the default limit of 4 %, it is
 1 % of the largest pressure."""
 ASSUMED_READINGS = 3
-"""Weight of the assumed scatter of readings (:data:`READING`) beside their measured scatter, as a number of readings.
-Few readings may agree, or contradict each other, by chance."""
+"""Weight of the assumed scatter (:data:`READING`) when it is averaged with the measured scatter of the readings, as an
+equivalent number of readings. It is needed because a few readings may agree by chance."""
 
 
 def fit_line(

@@ -20,10 +20,10 @@ SCALED = "not determined by these points; multiplied by the same factor as the v
 """Text on a yield stress of the slip layer that the measured pressures do not determine. It says that the yield stress
 was multiplied by the same factor as the viscosity, when the fit was combined with earlier knowledge of the layer."""
 LAYER_FACTORS, UNCERTAINTIES, BISECTIONS = (1e-6, 1e6), (1e-9, 1e6), 60
-"""Settings of searches by bisection: range of the factor on a fitted slip layer, range of the uncertainty of the layer,
-and number of bisection steps."""
+"""Settings of searches by bisection: the range of the factor by which a slip layer is multiplied, the range of the
+layer's uncertainty, and the number of bisection steps."""
 LAYER_STEP = 1.001
-"""Factor by which a slip layer is made stiffer and weaker to find how its resistance changes the friction."""
+"""Factor by which a slip layer's resistance is multiplied and divided for a numerical derivative of the friction."""
 
 
 def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:

@@ -16,7 +16,8 @@ from .line_fit import LineFit
 CONCRETE_FILE, BENDS_FILE = "concrete.yaml", "bends.yaml"
 """Names of the files with the fitted slip layer and with the fitted factor of bends, in the folder of a line."""
 LAYER_KEYS = ("slip_viscosity", "slip_yield", "slip_flow_index", "slip_quadratic_viscosity")
-"""Constants of the slip layer in the section `flow` of a concrete's file. They would replace the fitted layer."""
+"""Constants of the slip layer in the section `flow` of a concrete's file. They are not copied to the new file, where
+they would replace the fitted layer."""
 
 
 def fitted_concrete(

@@ -31,7 +31,8 @@ THICKEST = 1e6
 fitted layer has the same friction only if its viscosity is larger. With this viscosity, concrete practically sticks to
 the wall."""
 OTHER_FLOWS = (0.5, 2.0)
-"""Ratios of other flows to the measured flow. The uncertainty of a layer for later use holds between these flows."""
+"""Range of flows, divided by the measured flows, in which the stated uncertainty of a fitted layer holds for later
+use."""
 BISECTIONS = 60
 """Number of bisection steps in the search for a viscosity of the slip layer."""
 

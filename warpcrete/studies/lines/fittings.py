@@ -53,14 +53,14 @@ valve, the highest friction is the pressure loss :data:`VALVE_PRESSURE`, unless 
 def methods_on_bends(customary: bool = False) -> str:
     """Return a sentence for site engineers that compares the friction of bends from two kinds of simulations.
 
-    The simulations are of bends in pipes of 150 mm: as a fluid, and with stones as discrete elements. If `customary` is
-    true, the sentence also states lengths in feet.
+    Bends in pipes of 150 mm were simulated as a fluid, and with stones as discrete elements. If `customary` is true,
+    the sentence also states lengths in feet.
     """
     wide, tight = (both(customary, "m", radius, digits=3) for radius in (0.5, 0.25))
     return (
-        "Simulated as a fluid, a bend of 90 degrees costs 2 to 13 % more than straight pipe of its length; simulated "
-        f"with stones, it costs the same for a radius of {wide} or more, and half as much again for {tight}; therefore "
-        "count it by its length, and allow for three times that."
+        "In simulations as a fluid, a bend of 90 degrees has 2 to 13 % more friction than straight pipe of its length. "
+        f"With stones, it has the same friction for a radius of {wide} or more, and 1.5 times as much for {tight}. "
+        "Therefore count a bend as straight pipe of its length, and allow for up to three times its friction."
     )
 
 

@@ -43,7 +43,7 @@ JGJ_COUPLING, JGJ_PUMP = 1e5, 28e5
 JGJ_HOSE, JGJ_HOSE_LENGTHS = 0.2e6, (3.0, 5.0)
 """Pressure loss of a rubber hose [Pa], and the ends of the range of lengths [m] for which JGJ/T 10 states it."""
 OTHER_HOSES = "a shorter or longer hose counts in proportion to its length, which the rule does not cover"
-"""Words on hoses whose length is outside the range for which a rule of practice states their loss."""
+"""Remark on a hose whose length is outside the range for which a rule of practice states a loss."""
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ def practice_rows(
     metre, counted = per_metre(longest), float(np.interp(longest.diameter, *JSCE_RISE))
     return [
         _row("AIJ", parts, aij,
-                    "bends 3 times, reducers and hoses 2 times straight pipe of their length, with the friction of "
-                    f"this result, {shown('kPa/m', metre)} in the longest part"
+                    "bends count as 3 times, reducers and hoses as 2 times straight pipe of their length, with the "
+                    f"friction of this result, {shown('kPa/m', metre)} in the longest part"
                     f"{_as_straight(kinds, AIJ_OTHERS)}{stated}", AIJ),
         _row("JSCE", parts, jsce,
                     f"rise counts as {counted:.3g} times its length of level pipe, or {shown('kPa/m', counted * metre)}"

@@ -44,18 +44,21 @@ COVERAGE = {"paste": " in about nine of ten cases", "fit": " in about 95 % of ca
             "other": ", a range without a known probability",
             "contradicted": ", a range without a known probability: the gauges of the trial line contradict each other",
             }  # fmt: skip
-"""Words on how often the uncertainty band of a line's pressure contains the measured pressure. The key is 'paste' if
-the slip layer, and so the band, follows from the composition of the paste, and 'fit' if the layer was fitted to a trial
-line with this concrete, now or earlier. It is 'contradicted' if the gauges of an earlier trial line contradict each
-other, and otherwise 'other'. For slip layers that follow from the paste, `warpcrete validate` finds 93 % of the
-concretes in straight pipe, whose frictions are values of a model, inside the band, and two of only three measured whole
-lines."""
+"""Remarks on how often the uncertainty band of a line's pressure contains the true pressure, by the origin of the slip
+layer:
+
+- 'paste': the composition of the paste. `warpcrete validate` finds that the band contains the friction of straight pipe
+  for 93 % of the concretes (values of a model), and the pressure of two of three measured lines.
+- 'fit': a fit to a trial line with this concrete, now or earlier.
+- 'contradicted': an earlier fit, in which the gauges of the trial line contradict each other.
+- 'other': any other origin.
+"""
 HALVINGS = 12
-"""Number of bisection steps in the search for the longest stop, or the fastest growth of the yield stress, after which
-a pump restarts the line."""
+"""Number of bisection steps in the search for the longest stop, or the largest growth rate of the yield stress, for
+which a pump still restarts the line."""
 WIDENED = ", widened to contain all gauges, which contradict each other"
-"""Words that follow the uncertainty band of a line's pressure, if the gauges of the trial line contradict each other
-and the band was therefore widened."""
+"""Remark behind the uncertainty band of a line's pressure, if the band was widened because the gauges of the trial line
+contradict each other."""
 HIGHEST_PUMP = 500e5
 """Highest pressure of concrete that a pump is known to deliver [Pa]: the Sany HBT90CH2150D of Shanghai Tower
 (https://meconstructionnews.com/6212/sany-pumps-to-586m-in-shanghai)."""
@@ -366,8 +369,8 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         begins, full = result.restart(), result.restart(result.flow)
         found += [
             f"- after {time_text(result.stop.rest)} of rest, with a yield stress that grows by "
-            f"{result.stop.growth:g} Pa/s (theory), it starts to move at {_span(begins, us)}, and at full flow with "
-            f"{_span(full, us)}{_assumed_growth(result.stop)}",
+            f"{result.stop.growth:g} Pa/s (theory), the concrete starts to move at {_span(begins, us)}, and a restart "
+            f"at full flow needs {_span(full, us)}{_assumed_growth(result.stop)}",
             *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
     if result.stop is not None and result.line.pump is None:

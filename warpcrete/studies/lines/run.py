@@ -34,9 +34,9 @@ STRAIGHT_DIAMETERS = 2.5
 """Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
 diameters."""
 CURE = "; usual cure: "
-"""Words in the text of a failed check, in front of the names of those scene parameters that may mend the failure."""
+"""Words in the text of a failed check that precede the scene parameters by which the failure can be avoided."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
-"""Options of `warpcrete line` that may mend a failed check of a simulated part, by name of the check."""
+"""Options of `warpcrete line` by which the failure of a simulated part's check can be avoided, by name of the check."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -159,7 +159,7 @@ def run_line(
 
 
 def _failure(check: str, found: str) -> str:
-    """Return what a failed check has found, and the option of `warpcrete line` that may correct it, as text."""
+    """Return what a failed check has found, and the option of `warpcrete line` that avoids the failure, as text."""
     text = f"{check}: {found.split(CURE)[0]}"
     return f"{text}{CURE}{LINE_CURES[check]}" if check in LINE_CURES else text
 

@@ -162,10 +162,10 @@ OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets instead of the exact one"),
     "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls instead of two (six in bends)"),
 }  # fmt: skip
-"""Assumptions about details that Zhan et al. (2019) leave open. Each entry has three elements: parameters that are
-added to those of the calibrated concrete, the groups of runs that are made with them, and a description. The
-calibration is not repeated with the added parameters. The pressures of the pipe units A and B, to which the concrete
-was calibrated, may therefore change."""
+"""Assumptions about details that Zhan et al. (2019) leave open, by name. Each entry has three elements: parameters that
+are added to those of the calibrated concrete, the rows of the report that are run with them, and a description. The
+concrete is not calibrated again with the added parameters, so its pressures in the pipe units A and B, to which it was
+calibrated, may differ from the paper."""
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
 

@@ -12,14 +12,14 @@ from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
 
 IGNORED_PARAMETERS = ("seed", "precision", "tolerated_error")
-"""Parameters that are ignored when a scene is compared with the scene of a trade-off study."""
+"""Parameters in which a scene may differ from the scene of a trade-off study without a remark to the user."""
 SHIPPED = Path(__file__).parents[2] / "measured"
 """Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
 
 
 @dataclass(frozen=True)
 class Advice:
-    """Recommended settings, the error that they promise, and the limits of that promise."""
+    """Recommended accuracy settings for a scene, their error bound, and the conditions under which it was tested."""
 
     changes: dict[str, Any]
     """Recommended parameter values, by parameter name."""
@@ -32,11 +32,11 @@ class Advice:
     ratio: float
     """Wall time of a run with these settings, divided by the wall time of a run without them."""
     left_out: tuple[str, ...]
-    """Descriptions of recommended settings that cannot be used in this scene. Without them, the promised error may be
-    exceeded."""
+    """Descriptions of recommended settings that cannot be used in this scene. If there are any, the error may be larger
+    than `promised`."""
     outside: tuple[str, ...]
-    """Differences between this scene and the measured scene, in words. The promised error was not tested for scenes
-    with these differences."""
+    """Differences between this scene and the measured scene, in words. The error of a scene with these differences was
+    not measured, so it may be larger than `promised`."""
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str
@@ -51,13 +51,14 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered, and only records with the same kind of simulated
-    aggregates, because aggregates limit the cells. The records are ranked by four criteria, the most important first:
+    Only records of the scene function `name` with the same kind of simulated aggregates are considered, because
+    aggregates limit the width of the cells. A record is more similar than another one by the first of these criteria
+    that distinguishes them:
 
-    - whether a closed form exists for both scenes or for neither of them,
-    - how few knobs (accuracy parameters) exist in only one of the two scenes,
-    - how few parameters differ,
-    - whether the kind of machine is the same (GPU or CPU).
+    - A closed form exists for both scenes, or for neither of them.
+    - Fewer knobs (accuracy parameters) exist in only one of the two scenes.
+    - Fewer parameters have different values.
+    - The record was measured on the same kind of machine (GPU or CPU).
     """
     own = module.scene.resolved(given)
     found = []
@@ -76,9 +77,9 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 
 
 def _kinds_of_aggregates(given: Any) -> tuple[bool, bool]:
-    """Return whether a flow has aggregates of grouped particles, and whether it has rigid bodies in the mortar."""
-    # Compare the attribute `aggregates` with True. It is True or False in the parameters of channels and tubes, but a
-    # function in the parameters of vessels.
+    """Return two truth values: whether a flow has aggregates made of particles, and whether it has rigid bodies."""
+    # Test `is True`, because `aggregates` is a truth value in the parameters of channels and tubes, but a function,
+    # which would count as true, in the parameters of vessels.
     grouped = getattr(given, "aggregates", None) is True
     return grouped, not grouped and bool(getattr(given, "aggregate_fraction", None))
 
@@ -97,13 +98,13 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     """Return the cheapest accuracy settings whose relative error is at most `accuracy`, a fraction between 0 and 1.
 
     `trade` is the folder of a trade-off study, or the file of a shipped record; it states an error bound for each
-    setting. `given` holds the parameters that the user chose for the scene `name` of `module`. The advice replaces none
-    of these values, except properties of the concrete: a setting with coarser aggregate, for example, replaces the
-    grain sizes. Raises :class:`SceneError` if `accuracy` is outside the interval or was not reached, and
+    setting. `given` holds the parameters that the user chose for the scene `name` of `module`. The advice does not
+    change these parameters, except properties of the concrete: a setting with coarser aggregate, for example, replaces
+    the grain sizes. Raises :class:`SceneError` if `accuracy` is not between 0 and 1 or no setting reaches it, and
     :class:`RunFolderError` if `trade` holds no record of this scene.
     """
     if not 0 < accuracy < 1:
-        refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %")
+        refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %", "for example 5%")
     file = trade if trade.suffix == ".json" else trade / "trade.json"
     record = read_json(file)
     if record.get("scene") != name:
@@ -143,7 +144,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         if knob is None or level is None:
             left_out.append(f"{knob_name} {key}, which this scene does not have")
         elif not knob.physical and any(k in own and own[k] != measured.get(k, ...) for k in level.changes):
-            left_out.append(f"{knob_name} {level.label}, because its parameter is given")
+            left_out.append(f"{knob_name} {level.label}, because you set its parameter")
         else:
             changes |= level.changes
             taken.append(f"{knob_name} {level.label}")
@@ -160,8 +161,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
     """Return a description of each parameter whose value in this scene differs from its value in the measured scene."""
-    # Convert the values before comparing them, because one value can be stated in different ways. For example, the
-    # parameter for the pipe unit of Zhan et al. accepts a letter or a name.
+    # Compare converted values, because the same value can be stated in different ways. A pipe unit of Zhan et al., for
+    # example, has a letter and a name.
     ours = module.scene.declared(own)
     with names_from_file():
         theirs = module.scene.declared(measured)

@@ -98,16 +98,16 @@ def explain(
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_json(path, asdict(forecast))
-            except (OSError, RunFolderError):  # the forecast is valid even if it cannot be cached
+            except (OSError, RunFolderError):  # The forecast is valid even if it cannot be written to the cache.
                 pass
     savings = sorted((*_time_step_savings(forecast), *savings), key=lambda each: each.ratio)
     return Explanation(scene.name, forecast, tuple(savings), source)
 
 
 def _frames(simulation: Any) -> dict[str, float]:
-    """Return the mean wall time that each default recorder needs for one frame [s].
+    """Return the mean wall time [s] that each recorder that is on by default needs for one frame, by its name.
 
-    The wall time for finishing the recording at the end of a run is divided among the frames.
+    This includes the time for finishing the recording at the end of a run, divided by the number of frames.
     """
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):
@@ -155,12 +155,11 @@ def _measured_savings(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[lis
 
 
 def _knobs_of(scene: Any, measured: Mapping[str, Any] | None) -> set[str]:
-    """Return the names of those accuracy parameters of a scene that recommended settings may change.
+    """Return the names of the knobs (accuracy parameters) whose savings in a trade-off record apply to a scene.
 
-    `measured` holds the parameters of the scene of a trade-off record. A knob is left out if its parameters have other
-    values in this scene than in the record, because the record states savings relative to its own values. For example,
-    cells of 12 mm save nothing in a scene that has cells of 12.5 mm. Knobs whose settings are factors, such as coarser
-    aggregate, remain.
+    `measured` holds the parameters of the scene in the record. If a knob has another value in this scene, it is left
+    out, because the record states savings relative to its own scene: cells of 12 mm, for example, save nothing in a
+    scene that has cells of 12.5 mm. Knobs whose levels are factors, such as coarser aggregate, are not left out.
     """
     module = modules().get(scene.name)
     given = arguments_of(scene)
@@ -180,10 +179,10 @@ def _knobs_of(scene: Any, measured: Mapping[str, Any] | None) -> set[str]:
 
 
 def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
-    """Yield a saving for each value of an accuracy parameter that shortened the run in a trade-off study.
+    """Yield a saving for each change of a single accuracy parameter that shortened the run in a trade-off study.
 
-    `points` contains the settings of the study with their run times and errors. The first setting is the scene as
-    given. Only settings in which a single parameter differs from the scene as given are used.
+    `points` contains the settings of the study with their run times and errors. The first of them is the scene as
+    given. `knobs` holds the names of the accuracy parameters that are considered.
     """
     for point in points[1:]:
         given, alone = points[0], point["origin"] in knobs and point["errors"] and not point["suspect"]
@@ -198,11 +197,10 @@ def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Sav
 
 
 def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
-    """Yield savings from removing or weakening the bonds or dashpots that limit the time step."""
+    """Yield the savings that are possible if the bonds or dashpots that limit the time step are removed or softened."""
     alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
     if not alone or not whole or not forecast.wall_time or not 0.9 < forecast.time_step / whole < 1.1:
-        # The user chose the time step. The forecast can tell nothing about savings, because without bonds or dashpots
-        # the step would stay the same.
+        # The user chose the time step, so it would stay the same without bonds or dashpots, and nothing is saved.
         return
     rest = 1.0 - sum(forecast.parts.get(part, 0.0) for part in ("steps", "settling")) / forecast.wall_time
     for name, limit in forecast.limits.items():
@@ -211,8 +209,8 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
             ratio = rest + (1.0 - rest) * whole / min(others)
             if ratio < MAX_TIME_RATIO:
                 yield Saving(f"no {name.removeprefix('contacts and ')}, or softer ones", ratio, "error not measured")
-    # If contacts limit the time step, and not bonds, weaker dashpots at contacts save time. How much they save is known
-    # only in scenes without bonds, because only there the forecast contains the time step without dashpots.
+    # In scenes without bonds, the forecast contains the time step without dashpots, which gives the saving by weaker
+    # dashpots.
     if alone < 1.05 * whole and not any(name.startswith("contacts and ") for name in forecast.limits):
         ratio = rest + (1.0 - rest) * alone / forecast.limits.get("contacts without dashpots", alone)
         if ratio < MAX_TIME_RATIO:
@@ -220,18 +218,21 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
 
 
 def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str, Any], str]:
-    """Return the trade-off record that fits a scene, and a description of its source; both are empty if none fits."""
+    """Return a trade-off record for a scene, and a description of its source; both are empty if there is no record.
+
+    The record is that of the folder `trade`, or by default the most similar one that is shipped with the package.
+    """
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():
             raise RunFolderError(
                 f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
-                "trade.json); give such a folder"
+                "trade.json); give the folder of a trade"
             )
         record = read_record(trade / "trade.json")
         if record.get("scene") != scene.name:
             problem = f"must be a trade of the scene {scene.name!r}, but belongs to the scene {record.get('scene')!r}"
-            refuse("trade", str(trade), problem)
+            refuse("trade", str(trade), problem, "give the folder of another trade, or leave out 'trade'")
         return record, f"'{trade}', {record.get('machine', '')}"
     given = dict(arguments_of(scene))
     if module is None or not given:
@@ -270,7 +271,7 @@ def _lines(told: Explanation) -> Iterator[str]:
         frames = 1 + max(MINIMUM_FRAMES, int(f.duration / LONGEST_FRAME_INTERVAL))
         spent = ", ".join(f"{_seconds(frames * each)} {name}" for name, each in f.frame.items())
         yield f"  plus {frames} recorded frames: {spent}"
-    yield "largest possible savings of time" + (f" (errors by {told.source})" if told.source else "")
+    yield "largest possible savings of time" + (f" (errors from {told.source})" if told.source else "")
     if not told.savings:
         yield "  none known"
     for saving in told.savings[:5]:

@@ -38,7 +38,7 @@ class Error:
 
     @property
     def within_scatter(self) -> bool:
-        """True if the scatter between random seeds alone can explain the error."""
+        """True if the error lies within its confidence interval, so that it may be due to the scatter between seeds."""
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 
@@ -47,16 +47,17 @@ def student_quantile(freedom: float) -> float:
     whole = max(int(freedom), 1)
     if whole <= len(STUDENT):
         return STUDENT[whole - 1]
-    # For many degrees of freedom n, expand the quantile in 1/n about the normal one (Abramowitz & Stegun 26.7.5).
+    # For n > 10 degrees of freedom, use the expansion in powers of 1/n about the quantile of the normal distribution
+    # (Abramowitz & Stegun 26.7.5).
     return 1.960 + 2.372 / whole + 2.823 / whole**2 + 2.556 / whole**3
 
 
 def difference(quantity: str, values: Sequence[float], reference: Sequence[float], size: float | None = None) -> Error:
-    """Return the difference of the means of `values` and `reference`, divided by `size`, as an :class:`Error`.
+    """Return the relative difference between the means of `values` and `reference`, with its confidence interval.
 
-    The default `size` is the magnitude of the reference's mean. The confidence interval of 95 % follows from Welch's
-    t-test. If both sequences have one value, as in flows without randomness, the difference counts as exact. If only
-    one of them has a single value, the interval is NaN.
+    The difference is divided by `size`, by default the magnitude of the mean of `reference`. The 95 % confidence
+    interval follows from Welch's t-test. If both sequences have a single value, as in flows without randomness, the
+    difference counts as exact. If only one of them has a single value, the interval is NaN.
     """
     a, b = np.asarray(values, float), np.asarray(reference, float)
     size = abs(float(b.mean()) if size is None else size) or math.nan
@@ -65,7 +66,7 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
         return Error(quantity, shift, 0.0)
     if len(a) == 1 or len(b) == 1:
         return Error(quantity, shift, math.nan)
-    if np.array_equal(a, b):  # Equal arrays mean that the compared setting is the reference itself.
+    if np.array_equal(a, b):  # Equal arrays mean that the reference is compared with itself.
         return Error(quantity, 0.0, student_quantile(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
     parts = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
     spread = float(parts.sum())
@@ -118,9 +119,10 @@ def cheapest_within(
     """Return the cheapest combination of levels whose errors add up to at most `target`, or None if there is none.
 
     A knob is a parameter that trades accuracy for run time, and its levels are its possible values. A combination has
-    one level of each knob. `knobs` holds, for each level of each knob, the pair (cost factor, error). The cost of a
-    combination is the product of the factors of its levels. The magnitudes of the errors are added, because errors that
-    cancel in one scene need not cancel in another one. Raises ValueError for more than `limit` combinations.
+    one level of each knob; it is returned as the index of the level, by the name of the knob. `knobs` holds a pair
+    (cost factor, magnitude of the error) for each level of each knob. The cost of a combination is the product of the
+    cost factors. The errors are added, because errors that cancel in one scene need not cancel in another one. Raises
+    ValueError for more than `limit` combinations.
     """
     names = list(knobs)
     if math.prod(len(knobs[name]) for name in names) > limit:

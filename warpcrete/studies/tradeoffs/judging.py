@@ -22,11 +22,11 @@ class Judging(ABC):
     """True if a closed form gives the expected results."""
     record: Mapping[str, Any]
     """Contents of the study's file trade.json. The optional entry `rounding` holds, for each quantity, the relative
-    difference that rounding alone makes between two runs of the same setting."""
+    difference between two runs of the same setting that differ only by rounding errors."""
     points: list[Setting]
     tried: list[Setting]
-    """Settings of the accuracy parameters with which variants of the scene were run. A variant is the study's scene
-    with some of its other parameters changed."""
+    """Settings that were run in variants of the scene. A variant is the study's scene with some parameters changed that
+    are not accuracy parameters."""
 
     @property
     @abstractmethod
@@ -114,9 +114,9 @@ class Judging(ABC):
     def reference_errors(self) -> dict[str, float]:
         """Estimated relative error of the reference setting's own results, by the name of the quantity.
 
-        The estimate extrapolates the results of all measured widths of cells, or distances of particles, to the width
-        0. If the effect of rounding is known, the two errors are added in squares. The result is empty without a
-        reference or without such an accuracy parameter.
+        The results at all measured widths of cells, or distances of particles, are extrapolated to the width 0; the
+        error is the difference from this limit. If the effect of rounding errors is known, it is added in squares. The
+        result is empty if there is no reference setting, or if no accuracy parameter is a width or distance.
         """
         knobs = [knob for knob in self.knobs if knob.resolution]
         if self.reference is None or not knobs:
@@ -160,11 +160,11 @@ class Judging(ABC):
         return max(point.worst.bound, alone) + max(self.reference_errors.values(), default=0.0)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
-        """Return a bound for a setting's errors in another scene, estimated from its errors in `variants` of the scene.
+        """Return a bound for a setting's errors in other scenes, estimated from its errors in `variants` of the scene.
 
-        The estimate assumes that the other scene differs from the original one as much as the variants do. For each
-        quantity, the errors in the original scene and in its variants give a 95 % prediction interval. The result is
-        the largest bound of these intervals, plus the reference's own error.
+        The errors of a quantity in the original scene and in its variants are treated as a random sample, which gives a
+        95 % prediction interval for the error in another, similar scene. The result is the largest bound of all
+        quantities, plus the reference's own error.
         """
         found = []
         for each in self.quantities:

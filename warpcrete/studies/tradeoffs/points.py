@@ -12,7 +12,7 @@ from ...record.checks import failed_checks
 from .fronts import Error, worst
 
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
-"""Wanted relative errors; the study looks for the cheapest setting within each wanted error."""
+"""Relative errors for each of which a study looks for the cheapest setting whose error is not larger."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
 """Origins of those settings of a trade-off study that do not just change a single accuracy parameter. In this order,
 they are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and
@@ -24,9 +24,9 @@ class Setting:
     """One choice of values for the accuracy parameters of a scene, and the results of its runs."""
 
     origin: str
-    """How this setting came about. If only one accuracy parameter differs from the user's scene, this is its name.
-    Otherwise it is "as given" (the user's scene), "finest" (every parameter at its most accurate value),
-    "combined" (several parameters changed), or "carried" (a setting repeated in a variant of the scene)."""
+    """Name of the accuracy parameter that differs from the user's scene, if it is the only one. Otherwise one of these
+    words: "as given" (the user's scene), "finest" (all accuracy parameters as fine as the budget allows), "combined"
+    (several parameters changed), or "carried" (a setting repeated in a variant of the scene)."""
     levels: dict[str, int]
     """Index of the level (value) of each accuracy parameter that differs from the scene as given, by the parameter's
     name."""
@@ -40,22 +40,22 @@ class Setting:
     """Reason why the setting was not run; empty if it was run. A resumed study may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions of result quantities, by the quantity's name. They make results of runs with this setting comparable
-    with results of the scene as given. For example, a pipe of half the length needs about half the pressure. A
-    conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
+    """Conversions that make results of runs with this setting comparable with results of the scene as given, by the
+    name of the quantity. A pipe of half the length, for example, needs about half the pressure. A conversion is a pair
+    (offset, factor); it replaces a value by offset + factor * (value - offset)."""
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""
     full: dict[str, Any] = field(default_factory=dict)
     """All parameters that have an effect on the scene, including those with default values."""
     timed: bool = True
-    """False if the wall time in the results is only an estimate; such a setting is not recommended."""
+    """True if the wall time in the results was measured. If it is only an estimate, the setting is not recommended."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
         """Return the values of a result quantity in the runs with the given seeds.
 
-        The runs may use other accuracy parameters than the scene as given, such as another element size. If this
-        changes the meaning of a quantity, its values are converted to the meaning in the scene as given.
+        If an accuracy parameter of this setting changes the meaning of the quantity, as a shorter pipe changes the
+        meaning of its pressure, the values are converted to the scene as given (:attr:`converted`).
         """
         found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
         offset, factor = self.converted.get(quantity, (0.0, 1.0))
@@ -90,7 +90,7 @@ class Setting:
 
     @property
     def worst(self) -> Error | None:
-        """Error whose upper bound is the largest among all quantities; None without errors."""
+        """Error of the quantity whose error has the largest upper bound; None if no errors are known."""
         return worst(self.errors)
 
     @property

@@ -59,7 +59,7 @@ def table(trade: Trade) -> str:
 
 
 def own_error(trade: Trade) -> str:
-    """Return a sentence on the estimated errors of the finest setting itself; empty if they are not known."""
+    """Return a sentence on the estimated errors of the reference setting itself; empty if they are not known."""
     found = [f"{100 * error:.2g} % ({name})" for name, error in trade.reference_errors.items() if math.isfinite(error)]
     if not found:
         return ""
@@ -67,10 +67,7 @@ def own_error(trade: Trade) -> str:
 
 
 def _beside(trade: Trade) -> str:
-    """Return a sentence that states how many runs took place at the same time.
-
-    The text is empty if the runs were made one after the other.
-    """
+    """Return a sentence on the number of simultaneous runs; empty if the runs were made one after the other."""
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""
@@ -182,13 +179,13 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
-FLOOR = 1e-4  # Smallest error that the figure draws; a logarithmic axis has no zero.
+FLOOR = 1e-4  # Smallest error that the figure shows. Smaller errors are drawn here, because a log axis has no zero.
 STYLES = tuple(zip("osv^<>h", map(rgb, SERIES[1:])))
 """Marker and colour of the settings that vary one accuracy parameter, in the order of the parameters."""
 FRONT = "0.5"
 """Colour of the Pareto front and of the settings that vary several parameters, to which most of the front belongs."""
-RIGHT = 0.88  # position along the plot from which labels stand left of their points
-NEAR = 0.07  # labels closer than this fraction of the plot (vertically; twice as much horizontally) would overlap
+RIGHT = 0.88  # Horizontal position, as a fraction of the plot, beyond which a label stands on the left of its point.
+NEAR = 0.07  # Smallest vertical distance of two labels, as a fraction of the plot; horizontally, it is twice as large.
 
 
 def draw(trade: Trade) -> Any:
@@ -233,7 +230,7 @@ def draw(trade: Trade) -> Any:
 
 
 def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: Any) -> None:
-    """Draw a group of settings, such as those that vary one accuracy parameter, with their confidence intervals."""
+    """Draw the settings of one `origin`, such as those that vary one accuracy parameter, with confidence intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]
@@ -250,7 +247,7 @@ def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: s
 
 
 def _name_levels(axes: Any, trade: Trade) -> None:
-    """Label the points of the figure that change only one accuracy parameter with the value of this parameter.
+    """Label each point of the figure whose setting changes a single accuracy parameter with the parameter's value.
 
     A label that would overlap another one is left out, because the table lists all values.
     """

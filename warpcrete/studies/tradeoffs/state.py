@@ -36,8 +36,8 @@ class Trade(Judging):
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        # The scene checks its own results against a tolerance. Set this tolerance to the largest error that the study
-        # may aim at, so that runs with coarse settings do not fail the check.
+        # The scene compares its results with a closed form, within a tolerance. Set this tolerance to the largest error
+        # that the study considers, so that runs with coarse settings do not fail the check.
         if module.trading.tolerance:
             self.base.setdefault(module.trading.tolerance, WANTED_ERRORS[0])
         self.repeat: int = record["repeat"]
@@ -116,7 +116,7 @@ class Trade(Judging):
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Setting) -> dict[str, str]:
-        """Return the names of the levels that the knobs have in a setting, by the name of the knob.
+        """Return the name of the level of each changed knob in a setting, by the name of the knob.
 
         A knob is a parameter that trades accuracy for run time, and a level is one of its values. Levels with the same
         name correspond to each other in different scenes. Knobs with the same value as in the scene as given are left
@@ -146,11 +146,11 @@ class Trade(Judging):
         return self.points[-1]
 
     def carried(self, point: Setting, variant: str, changes: Mapping[str, Any]) -> Setting:
-        """Transfer a setting to a variant of the scene: return the setting with levels of the same names there.
+        """Return the setting of a variant of the scene that corresponds to the setting `point` of the scene itself.
 
-        A knob is a parameter that trades accuracy for run time, a level is one of its values, and the setting `point`
-        is a choice of one level for each knob. `changes` are the parameters in which the variant differs from the
-        scene. A level of the same name may stand for another value in the variant.
+        `changes` are the parameters in which the variant differs from the scene. For each knob (accuracy parameter),
+        the new setting has the level with the same name as in `point`; the value of this level may be another one in
+        the variant.
         """
         base = {**self.base, **changes}
         knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
@@ -201,7 +201,7 @@ class Trade(Judging):
         return same[0] if same else len(knob.levels) - 1
 
     def expected(self, point: Setting) -> float:
-        """Return the measured or estimated wall time of one run of a setting [s]."""
+        """Return the wall time of one run of a setting [s]: the measured median, or an estimate without a run."""
         if math.isfinite(point.cost):
             return point.cost
         by_name = {knob.name: knob for knob in self.knobs}
@@ -272,9 +272,8 @@ class Trade(Judging):
 
     def folder_of(self, point: Setting, seed: int) -> Path:
         """Return the folder of the run of a setting with a random seed."""
-        # Name the folder after the parameters that differ from the parameters of the scene as given (`self.base`). The
-        # mapping `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there
-        # as None if its default is None.
+        # Name the folder after the parameters that differ from the scene as given. Parameters with default values may
+        # be missing from `self.base`; a missing parameter counts as None if its default is None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}
         changed = {k: v for k, v in sorted(point.parameters.items())
@@ -308,10 +307,7 @@ class Trade(Judging):
         self._store_outcome(point, seed, outcome)
 
     def _run_on(self, cluster: Cluster, due: Iterator[tuple[Setting, list[int], float]]) -> None:
-        """Run jobs on workers, each of which performs one job at a time.
-
-        The attribute `spent` is increased by the wall time that the method takes, no matter how many workers there are.
-        """
+        """Run jobs on workers, each of which performs one job at a time, and add the elapsed wall time to `spent`."""
         before, begun, running = self.spent, time.perf_counter(), 0
         record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
 
@@ -330,8 +326,8 @@ class Trade(Judging):
             point, seeds = job
             for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
                 self._store_outcome(point, seed, outcome)
-            # Drop the results of all seeds after the first failed one. Otherwise the set of seeds with a result would
-            # depend on the order in which the runs end.
+            # Drop the results of all seeds after the first failed one, as if the seeds had run one after the other.
+            # Otherwise the results would depend on the order in which the runs end.
             if point.failures:
                 point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
 

@@ -1,10 +1,14 @@
 """Trade-off studies: measure how the knobs of a scene change its wall time and its errors, within a time budget.
 
-A knob is a parameter that trades accuracy for speed, such as the resolution. The study first runs the scene as given,
-and then changes one knob at a time. Then it sets all knobs as fine as the budget allows; this run is the reference,
-unless a closed form is known. Finally it runs the combinations that the measurements suggest for errors of 20 to 1 %,
-and tests them with fresh seeds. Every run has its own folder, so a resumed study reuses it. Runs that share a processor
-would falsify each other's wall times. Therefore only one run at a time takes place on this machine, or on each worker.
+A knob is a parameter that trades accuracy for speed, such as the resolution. A study has four phases:
+
+1. Run the scene as given, and then with one knob changed at a time.
+2. Run the scene with all knobs as fine as the budget allows. This run is the reference, unless a closed form is known.
+3. For errors of 20 to 1 %, run the combination of knobs that is expected to be the cheapest one within this error.
+4. Test the cheapest settings with new random seeds and in variants of the scene.
+
+Every run has its own folder, so a resumed study reuses it. Runs that share a processor would falsify each other's wall
+times, so only one run at a time takes place on this machine, or on each worker.
 """
 
 import importlib
@@ -75,9 +79,10 @@ def run_trade(
     all that the scene has). `repeat` is the number of seeds of each setting (default 3, or 1 if nothing is random).
 
     With a `scheduler`, runs are distributed over the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. Each
-    worker runs one simulation at a time. It has a GPU, or `threads` cores (default 1), to itself. The budget remains
-    wall time, so more workers measure more settings. Raises :class:`SceneError` before anything is written if the
-    settings are impossible, and after the first run if the budget is too short for a second run.
+    worker runs one simulation at a time, and no other worker uses its GPU or its `threads` cores (default 1). The
+    budget is wall time, whatever the number of workers, so more workers measure more settings. Raises
+    :class:`SceneError` before anything is written if the settings are impossible, and after the first run if the budget
+    is too short for a second run.
     """
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
@@ -91,7 +96,7 @@ def run_trade(
     known = {each.name: each for each in method_of(scene).quantities}
     for field, names in (("quantities", quantities), ("knobs", knobs)):
         if names is not None and (isinstance(names, str) or not isinstance(names, Iterable)):
-            refuse(field, names, "must be a list of names, or None")
+            refuse(field, names, "must be a list of names, or None", f"for example [{names!r}]")
     callback("progress", progress)
     chosen = list(quantities or trading.quantities)
     for name in chosen:
@@ -162,7 +167,8 @@ def _check_cores(scheduler: str | None, workers: int | None, device: str | None,
     between("threads", 1 if threads is None else threads, 1, float("inf"))
     if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
         hint = "use fewer workers or threads, because runs that share cores give wrong times"
-        refuse("workers", workers, f"times 'threads' = {threads} exceeds the {cores} cores of this machine", hint)
+        problem = f"workers with {threads} threads each need more than the {cores} cores of this machine"
+        refuse("workers", workers, problem, hint)
 
 
 def resume_trade(
@@ -181,8 +187,8 @@ def resume_trade(
     """
     check_scheduler(scheduler, workers)
     record = read_record(folder / "trade.json")
-    # Before the scene is created, check that the study's files have not changed. The creation of the scene may import
-    # one of these files as a Python module, so a changed file would run.
+    # Check that the study's files have not changed before the scene is created, because creating the scene may import
+    # one of these files as a Python module and run its code.
     check_files(folder / "trade.json", record.get("files", {}))
     try:
         with names_from_file():
@@ -198,8 +204,8 @@ def resume_trade(
     now = versions()["warpcrete"]
     if version != now:
         raise RunFolderError(
-            f"'{folder}': was made by version {version}, but this is {now}, so times cannot be "
-            "compared; start a new trade"
+            f"'{folder}': was measured with version {version} of warpcrete, but this is version {now}, so wall times "
+            "cannot be compared; start a new trade"
         )
     positive("budget", budget, "s")
     check_limit("budget", budget, "s")
@@ -212,8 +218,8 @@ def resume_trade(
     with locked_folder(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
             raise RunFolderError(
-                f"'{folder}': contains times of {trade.hardware}, but the workers have {here}, so "
-                "times cannot be compared; use the same hardware, or start a new trade"
+                f"'{folder}': contains wall times of {trade.hardware}, but the workers have {here}, so wall times "
+                "cannot be compared; use the same hardware, or start a new trade"
             )
         return _continue(trade, budget, cluster, progress)
 
@@ -244,9 +250,8 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"fails with the given parameters: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    # `spent` is the time that this call has spent on runs. If it is 0, all runs so far were made by an earlier call,
-    # and a few further runs may be enough to complete the study. Therefore, refuse a short budget only if `spent` is
-    # above 0.
+    # Refuse a short budget only if this call has made a run (`spent` is above 0). Otherwise, the study is resumed, and
+    # a few further runs may complete it.
     if trade.spent > 0 and needed > trade.budget:
         problem = "is too short for two runs" + " for every seed" * trade.has_seeds
         hint = f"one run takes {given.cost:.3g} s; give {at_least(5 * needed, 2)} s or more"
@@ -267,12 +272,15 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
 
 
 def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
-    """Judge `settings` by their existing runs, and find the cheapest one for each wanted error, without new runs."""
+    """Compute the errors of `settings` from existing runs, and find the cheapest one for each wanted error.
+
+    No new runs are made.
+    """
 
     def tell(phase: str, fraction: float, figures: Mapping[str, Any]) -> None:
         pass
 
-    trade.interrupted = True  # Mark the study as interrupted, so that it reads existing runs and starts no others.
+    trade.interrupted = True  # An interrupted study reads existing runs, but starts no new ones.
     trade.run_all(settings, trade.seeds, tell)
     trade.points = [point for point in trade.points if point.results or point.failures]
     trade.judge()
@@ -291,9 +299,9 @@ def _one_at_a_time(trade: Trade, tell: Tell) -> None:
 def _run_reference(trade: Trade, tell: Tell) -> None:
     """Run the reference setting: every knob at its finest level, or as fine as the budget allows.
 
-    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. As long as the
-    budget is too short, one knob is moved to its next coarser level. This is the knob that saves most time in relation
-    to the error that the coarser level adds. No knob becomes coarser than in the scene as given.
+    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. As long as the run
+    would exceed the budget, one knob is set to its next coarser level: the knob whose coarser level saves most time for
+    the error that it adds. No knob becomes coarser than in the scene as given.
     """
     levels = {}
     for knob in trade.chosen_knobs:
@@ -310,9 +318,8 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
         # An earlier call had a larger budget and already ran this setting. Use it as the reference again.
         if top == trade.record.get("finest"):
             break
-        # A knob is a parameter that trades accuracy for run time, and its levels are the values to choose from. For
-        # each knob, compare the present level with the next coarser one: take the logarithm of the factor by which the
-        # coarser level shortens the run, and divide it by the error that the coarser level adds.
+        # For each knob, compare the present level with the next coarser one: divide the logarithm of the factor by
+        # which the coarser level shortens the run by the error of the coarser level.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:
@@ -333,9 +340,10 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
 
 
 def _run_combinations(trade: Trade, tell: Tell) -> None:
-    """Run, for each wanted error, the cheapest combination of parameter values whose expected error is small enough.
+    """Run, for each wanted error, the combination of accuracy parameters that is expected to be the cheapest one.
 
-    Only accuracy parameters are changed, and each has a few possible values.
+    The expected error of a combination is the sum of the errors that its parameters cause alone, and its expected time
+    follows from the times of runs in which a single parameter was changed.
     """
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
@@ -348,14 +356,15 @@ def _run_combinations(trade: Trade, tell: Tell) -> None:
 
 
 def _find_promises(trade: Trade, tell: Tell) -> None:
-    """For each wanted error, find and test the cheapest setting (values of accuracy parameters) that stays within it.
+    """Find and test, for each wanted error, the cheapest setting whose error bound is at most the wanted error.
 
-    The tests are runs with other random seeds and runs of variants of the scene. If a test run fails, or if its error
-    exceeds the wanted error, the next cheapest setting is tested. A setting that could not be tested in any variant of
-    the scene is not promised.
+    A setting is tested in runs with new random seeds and in runs of variants of the scene. The next cheapest setting is
+    tested if a run with new seeds fails or fails a check, or if the error in a variant, or the bound that follows from
+    all variants, exceeds the wanted error. A setting that could not be tested in any variant of the scene is not
+    promised. The error in the runs with new seeds is reported, but not compared with the wanted error.
     """
-    # Variants are compared only if a closed form gives the expected values, or if nothing is random. With random
-    # results, each variant would need reference runs with several seeds, which takes too long.
+    # Run variants only if a closed form gives the expected values, or if nothing is random. Otherwise, each variant
+    # would need reference runs with several seeds, which takes too long.
     compared = trade.exact or (trade.reference is not None and not trade.has_seeds)
     variants = trade.module.trading.variants(trade.declared) if compared else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
@@ -382,7 +391,8 @@ def _test_variants(
 ) -> tuple[dict[str, Error | None], float]:
     """Return a setting's largest error in each variant of the scene, and an upper bound of its error in other scenes.
 
-    Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
+    The test ends at the first variant in which the error exceeds `target`. If there are several workers, they run
+    several variants at the same time.
     """
     found: dict[str, Error | None] = {}
     points: list[Setting] = []

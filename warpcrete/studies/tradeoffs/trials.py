@@ -33,18 +33,17 @@ class WorkerJob:
 def run_worker_job(
     record: dict[str, Any], module: Any, folder: Path, trial: WorkerJob, stop_requested: Callable[[], bool]
 ) -> list[Any]:
-    """Run the cases until the time is used up, a case fails, or the callback `stop_requested` returns True.
+    """Run the cases of a job until its time is used up, a case fails, or the callback `stop_requested` returns True.
 
-    Returns one outcome for each case so far: the contents of its result.json, the exception that ended the case, or
-    None if the case was stopped. Raises :class:`WarpcreteError` if earlier runs took place on another kind of
-    processor.
+    The result is a list with the outcome of each case that was run: the contents of its result.json, the exception that
+    ended it, or None if it was stopped. Raises :class:`WarpcreteError` if earlier runs of the study took place on
+    another kind of processor.
     """
     here = hardware(record["device"])
     if here != record["hardware"]:
         raise WarpcreteError(
-            f"scheduler: has a worker on {here}, but this trade measured times on {record['hardware']}, and the two "
-            "cannot "
-            "be compared; use workers of one kind"
+            f"scheduler: has a worker on {here}, but this trade measured wall times on {record['hardware']}, so they "
+            "cannot be compared; use workers with the same processor"
         )
     found: list[Any] = []
     start_time, load_kernels = time.perf_counter(), trial.load_kernels
@@ -52,7 +51,7 @@ def run_worker_job(
         elapsed = time.perf_counter() - start_time
         if found and elapsed + elapsed / len(found) > trial.time_left:
             break
-        # Look for the result of an earlier run first, because a worker that was lost may have finished this case.
+        # Use an existing result, because a worker that was lost may have finished this case before.
         outcome = previous_outcome(folder / case.name)
         if outcome is None:
             outcome, load_kernels = _run(record, module, folder, case, load_kernels, stop_requested), False
@@ -86,6 +85,6 @@ def _run(
         return error
     (outcome,) = run_cases(record, module, folder, [case], stop_requested)
     if isinstance(outcome, dict) and outcome.get("finished"):
-        # Read the results back from the file, so that a resumed study works with exactly the same numbers.
+        # Read the results from the file, as a resumed study does, so that both work with the same numbers.
         return read_json(folder / case.name / "result.json")
     return outcome

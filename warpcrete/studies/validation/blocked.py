@@ -13,11 +13,11 @@ BAD = ("risky", "blocks")
 
 @dataclass(frozen=True)
 class BlockingComparison:
-    """Verdict of the rules against blocking on one concrete in one bore, and whether the concrete blocked there."""
+    """Verdict of the rules against blocking on one concrete in one bore, next to the observation in a test."""
 
     case: Case
     held_out: bool
-    """True if the case only tests the rules, so that the limits of the rules must not be adjusted to it."""
+    """True if the case only tests the rules. Such cases are never used to adjust the limits of the rules."""
     blocked: bool
     """True if the concrete blocked in the test."""
     verdict: str
@@ -27,7 +27,7 @@ class BlockingComparison:
 
     @property
     def agrees(self) -> bool:
-        """True if the rules judged the case correctly: they warn exactly if the concrete blocked."""
+        """True if the verdict agrees with the observation: a rule warns and the concrete blocked, or neither."""
         return (self.verdict in BAD) == self.blocked
 
 

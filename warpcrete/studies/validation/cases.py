@@ -18,25 +18,28 @@ KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "sc
 """Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. If `flow` lists several
 values, `measured` lists one measured value for each of them."""
 BASES = ("measurement", "model", "guideline")
-"""Origins that the compared value of a case may have: a measurement, a model that was fitted to measurements, or a
-guideline that states what usually goes together. The first is the default."""
+"""Possible origins of the value with which a prediction is compared: a measurement (the default), a model that was
+fitted to measurements, or a guideline that relates properties of concrete by experience."""
 SCATTER_KEYS = ("concretes", "from", "to")
 """Entries of a case's section `scatter`, which describes the concretes of which the measured value is the mean."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""One in this number of groups of cases is held out. The cases of a held-out group are not used to fit any constant."""
+"""Number of groups of cases of which one is held out. The cases of a held-out group are not used to fit constants."""
 FITTED = {
     "slump": ("yeh-2007", "ferraris-1998"),
     "fitting": ("park-2020", "calibe"),
     "layer": ("suzuki-2004",),
     "blocking": ("tuutti-1976", "coils-10mm", "coils-20mm", "coils-30mm", "concrete-construction", "nara"),
 }
-"""Groups of cases, by kind, from which constants or rules of the program were taken. These groups are therefore never
-held out. Most of them were used before any groups were held out. The last two groups on blocking led to the rule on
-lightweight aggregate: one was a missed blockage, the other is the source of the rule. The constants are the height of
-the centre of a heap, ends of the bands of yield stresses from a slump and from a rheometer, the range of the friction
-of bends, the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
+"""Groups of cases, by kind, from which constants or rules of the program were taken, so that they are never held out.
+
+The constants are the height of the centre of a heap, ends of the bands of yield stresses from a slump and from a
+rheometer, the range of the friction of bends, the factor of a viscosity-modifying admixture, and limits of rules
+against blocking. Most groups were used before the choice of held-out groups. The last two groups on blocking led to the
+rule on lightweight aggregate: in one of them, the earlier rules missed a blockage, and the other is the source of the
+rule.
+"""
 
 ADDED = {
     "funnel": ("efnarc-2005",),
@@ -58,7 +61,7 @@ class Case:
     """Name of the mix, line or laboratory that several cases share. The cases of a group are fitted, or held out,
     together."""
     source: str
-    """Publication from which the measurement comes, and the table, figure or section in it."""
+    """Publication that reports the measurement, with the table, figure or section."""
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
@@ -70,10 +73,10 @@ class Case:
     concretes: int = 1
     """Number of concretes over which the measured value is a mean."""
     ends: tuple[float, float] | None = None
-    """Smallest and largest measured value of the concretes behind a mean, in the SI unit of the case's kind; None if
-    the case is a single concrete."""
+    """Smallest and largest value among the concretes whose mean is `measured`, in the SI unit of the case's kind; None
+    if the case is a single concrete."""
     basis: str = BASES[0]
-    """Origin of the compared value, one of :data:`BASES`."""
+    """Origin of the values in `measured`: a measurement, a model or a guideline (:data:`BASES`)."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
@@ -81,11 +84,13 @@ class Case:
 
 
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
-    """Return the groups of cases that no fit of a constant uses, as pairs of kind and group.
+    """Return the groups of cases that are held out, as pairs of kind and group. No fit of a constant uses these cases.
 
-    About a third of the groups that were known at the time of the fits are held out, for each kind; if a kind had two
-    groups, one is held out. The choice follows from a hash of the groups' names, so that nobody can choose groups after
-    seeing the results. All groups that were added later are held out as well (:data:`ADDED`).
+    Two kinds of groups are held out:
+
+    - For each kind of measurement, about a third of the groups that were known when constants were fitted. A hash of
+      the groups' names selects them, so that nobody can choose groups after seeing the results.
+    - All groups that were added after the fits (:data:`ADDED`).
     """
     found = set()
     for kind in {case.kind for case in cases}:
@@ -152,8 +157,8 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     concretes, ends = _scatter(_mapping(given, "scatter"), unit)
     usable = len(measured) == 1 and given["kind"] not in ("line", BLOCKING)
     if ends is not None and not (usable and ends[0] <= measured[0] <= ends[1]):
-        refuse("case scatter", dict(given["scatter"]), "belongs to a single measured value between its 'from' and "
-               "'to', and not to a case of kind 'line' or 'blocking'")  # fmt: skip
+        refuse("case scatter", dict(given["scatter"]), "needs a single measured value, which lies between 'from' and "
+               "'to', and a case of another kind than 'line' and 'blocking'", "leave out 'scatter'")  # fmt: skip
     where = str(given.get("where", ""))
     return Case(
         name=str(given["id"]),
@@ -194,7 +199,7 @@ def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, flo
 
 
 def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return the mapping that an entry must hold, or an empty mapping if the entry is missing."""
+    """Return the mapping under `key`, or an empty mapping if the entry is missing; refuse any other value."""
     found = given.get(key) or {}
     if not isinstance(found, Mapping):
         refuse(f"cases {key}", found, "must consist of 'key: value' lines")

@@ -19,12 +19,12 @@ class Comparison:
 
     case: Case
     held_out: bool
-    """True if no constant of the program may be fitted to the case."""
+    """True if the case is held out, so that no constant of the program was fitted to it."""
     measured: float
     band: Band
     """Predicted value and its uncertainty band, in the SI unit of the case's kind."""
     simulated: bool = False
-    """True if a flow was simulated, and False if a closed form predicts the case."""
+    """True if the prediction comes from a flow simulation, and False if it comes from a closed form."""
 
     @property
     def ratio(self) -> float:
@@ -35,8 +35,8 @@ class Comparison:
     def inside(self) -> float:
         """Fraction of the case's concretes whose measured values lie in the predicted band; 0 or 1 for one concrete.
 
-        For several concretes, only the smallest and the largest value are known. The others are assumed to lie evenly
-        between these two on a logarithmic scale.
+        If the case is a mean over several concretes, only their smallest and largest value are known. The values of the
+        other concretes are assumed to be uniformly distributed between the two on a logarithmic scale.
         """
         if self.case.ends is None:
             return float(self.band.contains(self.measured))

@@ -18,7 +18,7 @@ from ..lines.run import run_line
 from .cases import Case
 
 LEAST_SLUMP = 0.005
-"""Lower limit for the predicted slump [m]. It is half of the 10 mm to which the slump of a cone is read."""
+"""Lower limit for the predicted slump [m]: half of the 10 mm to which a measured slump is rounded."""
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix without a stated density [kg/m3]. Predictions of weight and slump depend on the density,
 but predictions of friction do not."""
@@ -55,9 +55,9 @@ def _line_of(case: Case) -> PipeLine:
 
 
 def _banded(mix: Mix, evaluate: Callable[[Concrete], float]) -> Band:
-    """Return a quantity that is computed from the concrete, with its uncertainty band.
+    """Return the quantity that `evaluate` computes from a concrete, with its band due to uncertain properties of a mix.
 
-    The band is due to the mix's uncertain properties.
+    `evaluate` is called for the concrete of the mix, and for concretes at the ends of the bands of its properties.
     """
     ends = {cause: (evaluate(low), evaluate(high)) for cause, (low, high) in mix.variants.items()}
     return combined(evaluate(mix.concrete), ends)
@@ -87,7 +87,7 @@ def _ratio(case: Case) -> list[Band]:
 
 
 def _line(case: Case) -> list[Band]:
-    """Predict the friction of a whole line [Pa]: the pressure at the pump minus the weight's part."""
+    """Predict the friction of a whole line [Pa]: the pressure at the pump minus the pressure due to weight."""
     mix = mix_of_case(case)
     line = _line_of(case)
     found = []
@@ -131,9 +131,10 @@ def _slump(case: Case) -> list[Band]:
     """Predict the slump [m] from the yield stress of the mix, which may itself follow from the spread.
 
     One theory holds for wide heaps and another one for tall cones. The smaller of the two slumps that they give is the
-    slump of a homogeneous heap. In a real heap, aggregate piles up in the centre and reduces the slump, by 30 mm in the
-    median and by up to 100 mm (:data:`HEAP_CENTRE`). The prediction is therefore the slump of the homogeneous heap
-    minus 30 mm. The lower end of its band is the lower end for the homogeneous heap minus 100 mm.
+    slump of a homogeneous heap. In a real heap, aggregate piles up in the centre, which reduces the slump by 30 mm in
+    the median and by up to 100 mm (:data:`HEAP_CENTRE`). For the prediction, 30 mm are therefore subtracted from the
+    slump of the homogeneous heap, and for the lower end of the band, 100 mm from the lower end of its band. The upper
+    end of the band is that of the homogeneous heap.
     """
     mix = mix_of_case(case)
 
@@ -150,9 +151,9 @@ def _slump(case: Case) -> list[Band]:
 def _spread(case: Case) -> list[Band]:
     """Predict the spread [m] from the yield stress of the mix.
 
-    The uncertainty band has three causes: the yield stress, the reading of the spread, and the theory. The prediction
-    takes the concrete's resistance to stretching into account (:func:`heap_at_rest`). The error of the theory is the
-    difference from the spread of a long heap without this resistance.
+    The prediction takes the concrete's resistance to stretching into account (:func:`heap_at_rest`). The uncertainty
+    band has three causes: the yield stress, the error with which a spread is read, and the error of the theory. The
+    last one is taken as the difference from the spread that a theory without this resistance gives.
     """
     mix = mix_of_case(case)
     own = mix.concrete
@@ -177,9 +178,9 @@ outlet and of the whole funnel, and distance of the parallel sides."""
 def _funnel(case: Case) -> list[Band]:
     """Predict the time in which concrete flows out of the V-funnel [s].
 
-    Concrete slips on the funnel's wet steel less than in a pipe, but does not stick to it. One time is computed with
-    slip and one without. The prediction is the geometric mean of these two times, and its band reaches at least from
-    one to the other.
+    On the funnel's wet steel, concrete slips less than in a pipe, but does not stick. One time is computed with the
+    slip layer of a pipe, and one without slip. The prediction is the geometric mean of the two times, and its band
+    contains both.
     """
     mix = mix_of_case(case)
 

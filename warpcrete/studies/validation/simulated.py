@@ -19,7 +19,7 @@ result that is compared with the measurement, and parameters of the scene."""
 
 
 def representatives(cases: Sequence[Case]) -> list[Case]:
-    """Return one case for each group of cases that can be simulated: the case with the group's median measurement."""
+    """Return the cases to simulate: from each group of cases, the one with the median of the measured values."""
     found = []
     for kind in SIMULATED:
         own = [case for case in cases if case.kind == kind]
@@ -32,8 +32,8 @@ def representatives(cases: Sequence[Case]) -> list[Case]:
 def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: float | None = None) -> Comparison:
     """Predict a case by simulating its standard test as a flow.
 
-    `spacing` is the edge length of the cells [m], by default the scene's own. The uncertainty band has the same
-    relative width as the band of the closed-form prediction. The upper end of a slump's band is at most the largest
+    `spacing` is the edge length of the cells [m], by default that of the scene. The ratio of both ends of the
+    uncertainty band to the predicted value is the same as for the closed form, but a slump's band ends at the largest
     slump of a cone (:data:`FLATTEST`). Raises :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is
     interrupted.
     """

@@ -32,22 +32,21 @@ class Summary:
     basis: str
     """Origin of the values with which the predictions are compared: "measurement", "model" or "guideline"."""
     chosen: str
-    """Name of the set of cases that the statistics cover: "all", "all, held out", "held out", "others" or
-    "simulated"."""
+    """Set of cases that the statistics cover: "all" (without simulated ones), "all, held out" (all cases, and all of
+    them are held out), "held out", "others" (not held out) or "simulated"."""
     count: int
     groups: int
-    """Number of groups (mixes, lines or laboratories) to which the cases belong; groups are independent of each
-    other."""
+    """Number of independent groups (mixes, lines or laboratories) to which the cases belong."""
     ratio: float
     """Median over the cases of the predicted value divided by the measured one."""
     error: float
-    """Median over the cases of the factor, at least 1, by which prediction and measurement differ, minus 1. The value
-    0.2 stands for a factor of 1.2."""
+    """Median of the relative errors of the predictions. A prediction that is too large or too small by a factor of 1.2
+    has the error 0.2."""
     inside: float
     """Fraction of the concretes whose measured values lie in the predicted uncertainty bands."""
     factor: float
-    """Median over the cases of the factor f of the prediction's uncertainty. The true value is expected between
-    prediction / f and prediction * f."""
+    """Median of the uncertainty factors f of the predictions, whose bands reach about from prediction / f to
+    prediction * f."""
 
 
 @dataclass(repr=False)
@@ -56,8 +55,8 @@ class Validation:
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """Verdict of the rules against blocking and observation, for each concrete that was observed to block or to pass.
-    """
+    """Comparison of the rules against blocking with the observation, for each concrete of which it is known whether it
+    blocked."""
     refused: dict[str, str]
     """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 
@@ -68,12 +67,11 @@ class Validation:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
 
     def summaries(self) -> list[Summary]:
-        """Return statistics of the comparisons, in up to four rows for each kind and each origin of the values.
+        """Return statistics of the comparisons, separately for each kind and each origin of the values.
 
-        Values of models and guidelines have rows of their own, so that other rows count measurements alone. The first
-        row covers all cases that were not simulated; it says so if all are held out. The second row covers the held-out
-        cases among them, which were never used to fit a constant. The third row covers the others, and the last row the
-        simulated cases. A row without cases, or with the same cases as the first row, is left out.
+        For each kind and origin, there are up to four entries (:attr:`Summary.chosen`): all cases predicted by closed
+        forms, those of them that are held out, those that are not, and all cases predicted by simulations. An entry
+        without cases, or with the same cases as the first entry, is left out.
         """
         found = []
         for kind, basis in itertools.product(KINDS, BASES):
@@ -93,7 +91,7 @@ class Validation:
         return found
 
     def counts(self) -> str:
-        """Return a sentence on how many compared values were measured, and how many have another origin."""
+        """Return sentences on the number of compared values that were measured, and of those with another origin."""
         of = {basis: sum(x.case.basis == basis and not x.simulated for x in self.comparisons) for basis in BASES}
         return (f"{of['measurement']} of these values were measured. Those of a model ({of['model']}) or a guideline "
                 f"({of['guideline']}) have rows of their own.")  # fmt: skip

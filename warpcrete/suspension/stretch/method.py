@@ -27,7 +27,7 @@ def forecast(scene: StretchScene, device: Any, precision: str, threads: int | No
             **law_features(scene.concrete),
         },
         probe,
-        governing="choice: cells that mortar on the axis passes in a step ('courant')",
+        governing="choice: number of cells by which mortar on the axis moves in a step ('courant')",
     )
 
 

@@ -46,7 +46,7 @@ class RunData:
 
 
 def _fixed(value: Callable[[RunData], float | None]) -> Callable[[RunData], float | None]:
-    """Return a function that gives a quantity only if the driving force keeps the mean velocity constant."""
+    """Return the function `of`, changed to return None unless the driving force keeps the mean velocity constant."""
     return lambda k: None if k.scene.mean_velocity is None else value(k)
 
 
@@ -96,18 +96,18 @@ def _migration_words(run: Run) -> str:
 
 QUANTITIES = (
     Quantity("pressure", "Pa", _fixed(lambda k: _pressure(k, k.mean("gradient"))), "pressure", _pressure_words, True,
-             meaning="Pressure difference over the stretch with the weight of the concrete in it; only at a "
-                     "constant flow"),
+             meaning="Pressure difference over the stretch, which balances friction and weight; only at a constant "
+                     "flow"),
     Quantity("pressure_theory", "Pa", _fixed(lambda k: _pressure(k, k.scene.gradient)),
-             meaning="Pressure of the mortar without aggregates by theory, with the same weight"),
+             meaning="Theoretical pressure difference for mortar without aggregates, but with the same weight"),
     Quantity("gradient", "Pa/m", _fixed(lambda k: k.mean("gradient")), "friction", _gradient_words, True,
              meaning="Friction per length, without weight; only at a constant flow"),
     Quantity("gradient_theory", "Pa/m", _fixed(lambda k: k.scene.gradient),
-             meaning="Friction per length of the mortar without aggregates by theory"),
+             meaning="Theoretical friction per length of the mortar without aggregates"),
     Quantity("flow", "m3/s", lambda k: k.mean("flow"), "flow", _flow_words, True,
              meaning="Volume flow, as a mean over the last half of the run"),
     Quantity("flow_alone", "m3/s", lambda k: k.scene.mortar_alone.flow,
-             meaning="Volume flow of the mortar without aggregates by theory"),
+             meaning="Theoretical volume flow of the mortar without aggregates"),
     Quantity("wall_stress", "Pa", lambda k: k.mean("wall_stress"), "wall's stress", _stress_words, True,
              meaning="Mean shear stress on the wall"),
     Quantity("wall_stress_theory", "Pa", lambda k: k.wall_stress,

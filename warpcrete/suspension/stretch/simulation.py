@@ -62,7 +62,7 @@ class StretchSimulation(AggregateRun):
         return sizes | self.aggregate_sizes()
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result that follow from the time series and the present state; no tables."""
+        """Return entries for the run's result, from the time series and the present state. A stretch has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.fraction))
         radius, velocity = velocity_profile(self.flow)
         result["profile"] = {
