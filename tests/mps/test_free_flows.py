@@ -22,7 +22,7 @@ from warpcrete.mps.free.quantities import start_volume, whole_volume
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.mps.free.simulation import FreeSimulation
 from warpcrete.mps.grid.geometry import GATE, NONE
-from warpcrete.mps.grid.state import COLUMN_BYTES, SLOT_BYTES
+from warpcrete.mps.grid.state import SLOT_BYTES
 from warpcrete.scenes import modules
 from warpcrete.theory.pipe import Concrete
 from warpcrete.theory.vessels import cone_volume
@@ -172,7 +172,7 @@ def test_what_a_grid_takes_is_foreseen(scene):
     simulation = Simulation(scene, device="cpu")
     simulation.prepare()
     told, taken = (
-        simulation.state.slots * (SLOT_BYTES[2] + COLUMN_BYTES[2]),
+        simulation.state.slots * SLOT_BYTES[2],
         sum(footprint(flow=simulation.flow).values()),
     )
     assert taken < told < 2.2 * taken  # empty cells of a vessel hold no particles

@@ -8,11 +8,8 @@ import warp as wp
 from ..dem.engine.stages import warp_width
 from ..kernels.common.control import HALTED
 from ..kernels.mps.grid.advection import advect_kernel
-from ..kernels.mps.grid.bins import bin_kernels, lift_kernel
-from ..kernels.mps.grid.filling import fill_kernel
 from ..kernels.mps.grid.forces import momentum_kernel
 from ..kernels.mps.grid.pressure import pressure_kernels
-from ..kernels.mps.grid.transfer import gather_kernel
 from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
 from ..kernels.suspension import coupling
@@ -56,22 +53,13 @@ class SuspensionStep(GridStep):
         """Return the stages before the coupled solve, which set up its equations."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         serial = not flow.parallel
-        bins = bin_kernels(scalar, serial, kind)
         bodies, abreast = flow.aggregates.kind, flow.aggregates.count * warp_width(flow.device)
         cover, free = cover_kernels(scalar, kind, bodies), release_kernels(scalar, kind)
         motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
         neighbours, leaving = neighbour_kernels(scalar, kind, bodies), leaving_kernels(scalar, bodies)
         count, spheres = flow.aggregates.count, flow.aggregates.spheres
         return [
-            *self._alone(bins.clear, slots),
-            *(self._cells(lift_kernel(scalar, kind), slots=slots, after=flow.state.opened)
-              if len(self.layout.opens) else []),
-            *self._alone(bins.tally, flow.count),
-            *self._alone(bins.allot, slots),
-            *self._shared(bins.sort, flow.count),
-            *self._cells(bins.order),
-            *([] if flow.full else self._cells(fill_kernel(scalar, serial, kind))),
-            *self._cells(gather_kernel(scalar, serial, kind)),
+            *self.gather(),
             *(self._alone(pose_kernel(scalar), count) if bodies.clumps else []),
             *(self._alone(leaving.park, count, opens=flow.opens) if flow.opens else []),
             *self._entering("guide"),
@@ -203,8 +191,11 @@ class SuspensionFlow(GridFlow):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        found = {"aggregates": self.aggregates, "coupled solve": self.coupled.directions,
-                 "viscous solve": self.coupled.compact}
+        found = {
+            "aggregates": self.aggregates,
+            "coupled solve": self.coupled.directions,
+            "viscous solve": self.coupled.compact,
+        }
         return super().holdings | found | ({} if self.entrance is None else {"entrance": self.entrance})
 
     def _build_stages(self) -> None:

@@ -52,8 +52,8 @@ VISCOUS, CHECKED = 0.5, 7
 
 A viscous solve stops when the norm of its residual has fallen to the fraction VISCOUS of the norm at its start. This is
 checked after every CHECKED iterations only, because a check makes the host wait for the GPU. More exact viscous solves
-save few iterations of the coupled solve, which cost less time than they take: on an H200, a step of a million cells with
-11,937 spheres takes 41 to 50 ms with these values, and 42 to 79 ms with 0.3 and 5 (see the notes for developers).
+take more time than the iterations of the coupled solve that they save: on an H200, a step of a million cells with
+11,937 spheres takes 41 to 50 ms with these values, and 43 to 79 ms with 0.3 and 5.
 """
 
 

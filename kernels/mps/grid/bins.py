@@ -6,6 +6,8 @@ from types import SimpleNamespace
 import warp as wp
 
 from ...common.control import HALTED
+from ...common.rows import row_functions
+from ...common.types import types
 from .cells import NOW, GridKind, grid_parameters_struct, grid_structs, item
 from .columns import LANES, column_functions
 from .places import grid_functions
@@ -13,7 +15,7 @@ from .places import grid_functions
 
 @functools.cache
 def bin_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `clear`, `tally`, `allot`, `sort` and `order`, which together sort particles into cells.
+    """Build the kernels that sort particles into cells: `clear`, `tally`, `allot`, `sort`, `order` and `copy` (GPU).
 
     A step launches them in this order. All cells share one list of particles, in which each cell reserves as many
     entries as it has particles. The order in which cells reserve their entries differs from run to run, but results do
@@ -25,6 +27,7 @@ def bin_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Particles, Fields = structs.Particles, structs.Fields
     f = grid_functions(scalar, of)
     store = column_functions(scalar, dims).store
+    vec4, write_vec4 = types(scalar).vec4, row_functions(scalar).write_vec4
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Fields):
@@ -71,8 +74,7 @@ def bin_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     def order(flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Fields, worker: wp.int32, workers: wp.int32):
         """Sort the particles of each cell by their numbers, so that sums are reproducible, with one task per cell.
 
-        Then copy the positions and masses of the particles in this order, because many cells and faces read them. On a
-        CPU, copy the particles into columns (`columns.py`).
+        On a CPU, copy the particles into columns in this order (`columns.py`), because many cells and faces read them.
         """
         if flags[HALTED] != 0:
             return
@@ -85,15 +87,33 @@ def bin_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                 mesh.sorted_particles[begin + b] = mesh.sorted_particles[begin + b - 1]
                 b -= 1
             mesh.sorted_particles[begin + b] = own
-        for k in range(begin, begin + mesh.count[c]):
-            p = mesh.sorted_particles[k]
-            if wp.static(serial):
-                store(particles, p, mesh.columns, k, mesh.place.shape[0] + LANES)
-            else:
-                mesh.sorted_position[k] = particles.position[p]
-                mesh.sorted_mass[k] = particles.mass[p]
+        if wp.static(serial):
+            for k in range(begin, begin + mesh.count[c]):
+                store(particles, mesh.sorted_particles[k], mesh.columns, k, mesh.place.shape[0] + LANES)
 
-    return SimpleNamespace(clear=clear, tally=tally, allot=allot, sort=sort, order=order)
+    @wp.kernel(enable_backward=False, module="unique")
+    def copy(flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Fields):
+        """Copy the particles in sorted order, because many cells and faces read them; one task per particle, GPU only.
+
+        Each task copies one particle, so that neighbouring tasks write neighbouring entries.
+        """
+        k = wp.tid()
+        if flags[HALTED] != 0 or k >= mesh.reserved_places[0]:
+            return
+        p = mesh.sorted_particles[k]
+        x, velocity, gradient = particles.position[p], particles.velocity[p], particles.gradient[p]
+        place = vec4()
+        place[3] = particles.mass[p]
+        for axis in range(dims):
+            place[axis] = x[axis]
+            motion = vec4()
+            motion[3] = velocity[axis]
+            for b in range(dims):
+                motion[b] = gradient[axis, b]
+            write_vec4(mesh.sorted_motion, dims * k + axis, motion)
+        write_vec4(mesh.sorted_place, k, place)
+
+    return SimpleNamespace(clear=clear, tally=tally, allot=allot, sort=sort, order=order, copy=copy)
 
 
 @functools.cache

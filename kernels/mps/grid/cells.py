@@ -208,13 +208,17 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cell, shape (n,).
-        sorted_position: wp.array(dtype=t.vec)  # Positions in the order of `sorted_particles` [m], shape (n,).
-        sorted_mass: wp.array(dtype=scalar)  # Relative masses in the order of `sorted_particles`, shape (n,).
+        # Position [m] and, as the last number, relative mass of each particle, in the order of `sorted_particles`. In a
+        # plane, the third number is unused. Shape (n,); empty on a CPU.
+        sorted_place: wp.array(dtype=types(scalar).vec4)
+        # Velocity gradient [1/s] and velocity [m/s] of each particle, in the order of `sorted_particles`, shape (axes *
+        # n,); empty on a CPU. The entry axes * k + a holds row a of the gradient of particle k and, as the last number,
+        # component a of its velocity.
+        sorted_motion: wp.array(dtype=types(scalar).vec4)
 
         # Relative mass, position, velocity and velocity gradient of the particles, on a CPU only. The array consists of
         # columns, one after the other. A column holds one number of all particles, such as one component of their
-        # velocities, in the order of `sorted_particles` (see `columns.py`). `sorted_position` and `sorted_mass` are
-        # empty on a CPU.
+        # velocities, in the order of `sorted_particles` (see `columns.py`).
         columns: wp.array(dtype=scalar)
 
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape

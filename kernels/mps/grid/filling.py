@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from ...common.control import HALTED
+from ...common.rows import row_functions
 from ..structs import mps_types
 from .cells import OPEN, GridKind, grid_parameters_struct, grid_structs, item
 from .columns import LANES, column_functions
@@ -121,7 +122,7 @@ def fill_kernel(scalar, serial: bool, of: GridKind):
     around = 3**dims
     say = level_functions(scalar, of)
     level, lies, film, behind = say.level, say.lies, say.film, say.behind
-    add_mass = column_functions(scalar, dims).add_mass
+    add_mass, read_vec4 = column_functions(scalar, dims).add_mass, row_functions(scalar).read_vec4
 
     @wp.func
     def neighbour(g: Grid, number: wp.int32, n: wp.int32) -> wp.int32:
@@ -151,8 +152,10 @@ def fill_kernel(scalar, serial: bool, of: GridKind):
                     d[b] = mesh.columns[(1 + b) * (mesh.place.shape[0] + LANES) + at] - place[b]
                 mass = mesh.columns[at]
             else:
-                d = mesh.sorted_position[at] - place
-                mass = mesh.sorted_mass[at]
+                particle = read_vec4(mesh.sorted_place, at)
+                for b in range(dims):
+                    d[b] = particle[b] - place[b]
+                mass = particle[3]
             near = scalar(1.0)
             for b in range(dims):
                 near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))

@@ -9,6 +9,7 @@ import functools
 import warp as wp
 
 from ...common.control import HALTED
+from ...common.rows import row_functions
 from ..structs import mps_types
 from .cells import AIR, FIXED, GHOST, INSIDE, LIQUID, OPEN, SMOOTH, GridKind, grid_parameters_struct, grid_structs, item
 from .columns import LANES, column_functions
@@ -83,6 +84,7 @@ def particle_functions(scalar, of: GridKind):
     around, block = 2 * 3**last, 3**dims
     columns = column_functions(scalar, dims, of.periodic)
     add_velocity, pair = columns.add_velocity, columns.pair
+    read_vec4 = row_functions(scalar).read_vec4
 
     @wp.func
     def cell_beside(g: Grid, c: whole, n: wp.int32, axis: wp.int32):
@@ -126,7 +128,7 @@ def particle_functions(scalar, of: GridKind):
         return before
 
     @wp.func
-    def at_all_faces(g: Grid, particles: Particles, mesh: Fields, c: whole):
+    def at_all_faces(g: Grid, mesh: Fields, c: whole):
         """Return two sums over particles for each lower face of a cell: the weights, and the weighted velocities.
 
         Every particle is read only once for all faces of the cell, which saves a GPU a third of the time.
@@ -142,28 +144,31 @@ def particle_functions(scalar, of: GridKind):
                 other = f.at(g, o)
                 for k in range(mesh.count[other]):
                     at = mesh.begin[other] + k
-                    d = middle - mesh.sorted_position[at]
-                    if wp.static(of.periodic):
-                        d[last] = d[last] - length * wp.round(d[last] / length)
-                    weights = vec()
-                    found = wp.bool(False)
+                    particle = read_vec4(mesh.sorted_place, at)
+                    d = vec()
+                    beside = vec()
+                    within = vec()
+                    for b in range(dims):
+                        d[b] = middle[b] - particle[b]
+                        if wp.static(of.periodic):
+                            if b == last:
+                                d[b] = d[b] - length * wp.round(d[b] / length)
+                        # A particle's weight is the product of one factor for each axis. Along the axis of a face, its
+                        # distance from the face counts; along the others, its distance from the middle of the cell.
+                        beside[b] = wp.max(scalar(1.0) - wp.abs(d[b] / g.width[b] - scalar(0.5)), scalar(0.0))
+                        within[b] = wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
                     for axis in range(dims):
-                        weight = mesh.sorted_mass[at]
+                        weight = particle[3] * beside[axis]
                         for b in range(dims):
-                            away = d[b]
-                            if b == axis:
-                                away -= scalar(0.5) * g.width[b]
-                            weight *= wp.max(scalar(1.0) - wp.abs(away) / g.width[b], scalar(0.0))
-                        weights[axis] = weight
-                        found = found or weight > scalar(0.0)
-                    if found:
-                        p = mesh.sorted_particles[at]
-                        gradient = particles.gradient[p]
-                        carried = particles.velocity[p] + gradient * d
-                        for axis in range(dims):
-                            own = carried[axis] - scalar(0.5) * g.width[axis] * gradient[axis, axis]
-                            totals[axis] = totals[axis] + weights[axis]
-                            sums[axis] = sums[axis] + weights[axis] * own
+                            if b != axis:
+                                weight *= within[b]
+                        if weight > scalar(0.0):
+                            motion = read_vec4(mesh.sorted_motion, dims * at + axis)
+                            own = motion[3] - scalar(0.5) * g.width[axis] * motion[axis]
+                            for b in range(dims):
+                                own += motion[b] * d[b]
+                            totals[axis] = totals[axis] + weight
+                            sums[axis] = sums[axis] + weight * own
         return totals, sums
 
     return from_particles, at_all_faces
@@ -196,7 +201,7 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
         totals = vec()
         sums = vec()
         if wp.static(not serial):
-            totals, sums = at_all_faces(g, particles, mesh, c)
+            totals, sums = at_all_faces(g, mesh, c)
         for axis in range(dims):
             r = number + axis * g.slots
             kind = INSIDE

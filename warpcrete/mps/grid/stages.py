@@ -57,20 +57,11 @@ class GridStep:
         """Return all stages of a time step in their order."""
         flow, layout, kind, scalar = self.flow, self.layout, self.kind, self.scalar
         serial = not flow.parallel
-        bins = bin_kernels(scalar, serial, kind)
         viscosity, pressure = viscosity_kernels(scalar, kind), pressure_kernels(scalar, serial, kind)
         velocity, increment = flow.mesh.velocity, flow.mesh.increment
         viscous, projection = flow.viscous, flow.projection
         return [
-            *self._alone(bins.clear, self.slots),
-            *(self._cells(lift_kernel(scalar, kind), slots=self.slots, after=flow.state.opened)
-              if len(layout.opens) else []),
-            *self._alone(bins.tally, flow.count),
-            *self._alone(bins.allot, self.slots),
-            *self._shared(bins.sort, flow.count),
-            *self._cells(bins.order),
-            *([] if flow.full else self._cells(fill_kernel(scalar, serial, kind))),
-            *self._cells(gather_kernel(scalar, serial, kind)),
+            *self.gather(),
             *self._cells(viscosity.rates),
             *self._cells(viscosity.viscosity),
             *self._cells((wall_kernel if kind.cut else side_kernel)(scalar, kind)),
@@ -93,6 +84,23 @@ class GridStep:
         ]  # fmt: skip
 
     # The following methods make stages from a kernel.
+
+    def gather(self) -> list[Any]:
+        """Return the stages that sort particles into cells and transfer their mass and velocity to the grid."""
+        flow, kind, scalar, serial = self.flow, self.kind, self.scalar, not self.flow.parallel
+        bins = bin_kernels(scalar, serial, kind)
+        return [
+            *self._alone(bins.clear, self.slots),
+            *(self._cells(lift_kernel(scalar, kind), slots=self.slots, after=flow.state.opened)
+              if len(self.layout.opens) else []),
+            *self._alone(bins.tally, flow.count),
+            *self._alone(bins.allot, self.slots),
+            *self._shared(bins.sort, flow.count),
+            *self._cells(bins.order),
+            *([] if serial else self._alone(bins.copy, flow.count)),
+            *([] if flow.full else self._cells(fill_kernel(scalar, serial, kind))),
+            *self._cells(gather_kernel(scalar, serial, kind)),
+        ]  # fmt: skip
 
     def _shared(self, kernel: Any, count: int, **named: Any) -> list[Stage]:
         """Return stages in which the threads share the `count` items of a kernel, and then wait for one another."""

@@ -29,17 +29,14 @@ FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "
 one entry per edge, and the names in PARTICLE_LISTS to arrays with one entry per particle. Most other arrays of the
 struct have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
-PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles", "sorted_position", "sorted_mass")
-GPU_LISTS = ("sorted_position", "sorted_mass")
-"""Names of the arrays in PARTICLE_LISTS that are empty on a CPU, which uses the array `columns` of the struct `Fields`
-instead."""
-SLOT_BYTES = {2: 4 * 278, 3: 4 * 558}
+PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles", "sorted_place")
+GPU_LISTS = ("sorted_place", "sorted_motion")
+"""Names of the arrays with copies of the particles that are empty on a CPU, which uses the array `columns` of
+the struct `Fields` instead."""
+SLOT_BYTES = {2: 4 * 359, 3: 4 * 654}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
-by number of axes."""
-COLUMN_BYTES = {2: 4 * 54, 3: 4 * 96}
-"""Additional memory per cell on a CPU [bytes], in single precision, by number of axes. It is the memory of the array
-`columns` of the struct `Fields`, minus the memory of the GPU_LISTS, which a CPU does not allocate. The number holds for
-full cells, with nine particles each in a plane and eight in space."""
+by number of axes. The number holds for full cells, with nine particles each in a plane and eight in space. In a plane,
+a CPU needs 8 % less."""
 
 FIRST_STEP_RATIO = 0.01
 """Length of the first step, divided by the longest allowed one, if the length of time steps adapts to the flow."""
@@ -145,6 +142,8 @@ class GridState:
             return 0
         if name in PARTICLE_LISTS:
             return self.count
+        if name == "sorted_motion":
+            return self.layout.axes * self.count
         if name == "reserved_places":
             return 1
         if name in STRUCTURE_ARRAYS or (name in SURFACE_ARRAYS and not self.has_surface):
@@ -208,8 +207,7 @@ def check_memory(cells: tuple[int, ...], device: Any, precision: str, more: int 
     example for aggregates [bytes], in single precision.
     """
     slots = math.prod(n + 2 for n in cells)
-    columns = 0 if parallel(device) else COLUMN_BYTES[len(cells)]
-    needed = slots * (SLOT_BYTES[len(cells)] + columns + more) * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
+    needed = slots * (SLOT_BYTES[len(cells)] + more) * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
     free = memory_free(device)
     if needed > MEMORY_FRACTION * free:
         raise CapacityError(
