@@ -89,7 +89,7 @@ class Aggregates:
 
 
 class Spheres:
-    """Spheres of which aggregates consist, aggregate by aggregate; the number of spheres is m."""
+    """All spheres of the aggregates, sorted by aggregate; m is their number."""
 
     def __init__(self, aggregates: Aggregates) -> None:
         kinds, size, shapes = aggregates.kinds, aggregates.size, aggregates.shapes
