@@ -31,7 +31,7 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
         "",
         *(f"- {each.text}" for each in fit.constants),
         *(
-            [f"- the slip layer that was known before has a weight of {100 * fit.prior_share:.2g} % in this layer"]
+            [f"- the slip layer expected before the fit has a weight of {100 * fit.prior_share:.2g} % in this result"]
             if fit.prior_share >= NOTICED
             else []
         ),
