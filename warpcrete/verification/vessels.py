@@ -196,7 +196,7 @@ def tilted_vessel(**given) -> FreeScene:
 
 
 def rest(device: str, precision: str) -> list[Row]:
-    """Compare a Newtonian fluid at rest in a vessel with slanted sides with hydrostatics, in a plane and in space."""
+    """Compare a Newtonian fluid at rest in a vessel with slanted sides with hydrostatics, in 2D and 3D."""
     found = []
     for depth, name in ((0.0, "plane"), (0.05, "space")):
         simulation = FreeSimulation(tilted_vessel(depth=depth), device=device, precision=precision)
@@ -230,6 +230,6 @@ def rest(device: str, precision: str) -> list[Row]:
 CASES = [
     Case("flow between cylinders, walls through cells", "Couette", cylinders, "flows"),
     Case("slip layers on walls through cells", "Couette", cylinders_with_layers, "flows"),
-    Case("round pipe in space, walls through cells", "Buckingham and Reiner", pipe_in_space, "flows"),
+    Case("round pipe in three dimensions, walls through cells", "Buckingham and Reiner", pipe_in_space, "flows"),
     Case("rest in a tilted vessel", "hydrostatics", rest, "flows"),
 ]

@@ -39,7 +39,7 @@ by number of axes."""
 COLUMN_BYTES = {2: 4 * 54, 3: 4 * 96}
 """Additional memory per cell on a CPU [bytes], in single precision, by number of axes. It is the memory of the array
 `columns` of the struct `Fields`, minus the memory of the GPU_LISTS, which a CPU does not allocate. The number holds for
-full cells, with nine particles each in a plane and eight in space."""
+full cells, with nine particles each in two dimensions and eight in three."""
 
 FIRST_STEP_RATIO = 0.01
 """Length of the first step, divided by the longest allowed one, if the length of time steps adapts to the flow."""
