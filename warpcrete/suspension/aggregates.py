@@ -29,7 +29,7 @@ CONTACT_ARRAYS = ("last_other", "last_normal", "last_force")
 
 @dataclass(frozen=True)
 class Aggregates:
-    """Aggregates in a mortar at the start of a run: spheres, or clumps of several spheres."""
+    """Aggregates in a mortar at the start of a run: n rigid bodies, each a sphere or a clump of spheres."""
 
     centre: np.ndarray
     """Positions of the aggregates' centres in the coordinates of the grid [m], shape (n, 3)."""
