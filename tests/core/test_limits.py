@@ -222,7 +222,7 @@ def test_a_missing_sieve_curve_is_told(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # The remark suffices for a command that simulates nothing.
         assert "the mix has no sieve curve" in CliRunner().invoke(cli, ["mix", str(path)]).output
-    with pytest.warns(PlausibilityWarning, match="concrete mix has no sieve curve, so its aggregate has the default sizes"):
+    with pytest.warns(PlausibilityWarning, match="mix has no sieve curve, so its aggregate has the default"):
         repeated = scenes.pipe(concrete=path).parameters
     with pytest.warns(PlausibilityWarning, match="has no sieve curve"):
         scenes.part_dem(concrete=path)
