@@ -12,8 +12,8 @@ it::
 # the settings that trade its accuracy for run time. If both a flow and discrete elements can simulate a test, there are
 # two scenes, NAME and NAME-dem. The scene NAME-dem has a file of its own, NAME_dem.py, or else the file of NAME defines
 # both scenes, with the names `scene_dem`, `check_dem` and `trading_dem` for NAME-dem. Scenes import `core`, `geometry`,
-# `theory`, `standards`, `dem` and `mps`, but no module that runs or records scenes. Readers of the code start with
-# `slump.py`, a complete scene in one file, or with `lcpc.py`, a test for both methods in one file.
+# `theory`, `standards`, `dem` and `mps`, but no module that runs or records scenes. To read the code, start with
+# `slump`, a complete scene in one file, or with `lcpc`, a test for both methods in one file.
 
 import importlib
 import pkgutil

@@ -113,7 +113,7 @@ CURES = {
     "momentum balance": "--precision float64, or a smaller --safety",
     "all aggregates inside": "a larger --modulus, or a smaller --safety",
     "no aggregate swallowed": "a larger --modulus, or a smaller --safety",
-    "not blocked": "a smaller --size-max, or a larger --diameter",
+    "not blocked": "a smaller --size-max, or a larger --diameter; a larger --modulus if soft aggregates are compressed",
     "plug holds": "a smaller --plug-ball, or more --plug-layers",
     "enough aggregates": "a smaller --size-max, or a larger --diameter",
     "plateau": "a longer --travel",

@@ -68,7 +68,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
 
     The mould opens from below as it is lifted, and has no friction; the concrete sticks to the plate by default. The
     concrete is a yield stress fluid, and the flow is symmetric about the axis. With aggregates, a quarter of the cone
-    is simulated in space, between two planes of symmetry.
+    is simulated in three dimensions, between two planes of symmetry.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -80,8 +80,8 @@ def lifted_mould(
 ) -> FreeScene:
     """Build the scene of a `test` in which a mould is lifted from a plate; `walls` are walls that stand on the plate.
 
-    With walls or aggregates, a quarter of the mould and the plate is simulated in space. The default radius of the
-    plate is at least `least_room` [m].
+    With walls or aggregates, a quarter of the mould and plate is simulated in three dimensions. The default radius of
+    the plate is at least `least_room` [m].
     """
     concrete = given.make_concrete(given.plate == "slips")
     top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height

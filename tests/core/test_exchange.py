@@ -172,14 +172,14 @@ def test_displays_share_one_copy_of_each_array(drawn):
 
     first = snapshot_of(simulation, {"one": source("one", one), "word": source("word", "w")})
     second = snapshot_of(simulation, {"one": source("one", one), "other": source("other", other)})
-    assert asked == ["one", "word", "other"] and set(second.found) == {"one", "other"}
+    assert asked == ["one", "word", "other"] and set(second.values) == {"one", "other"}
     one.assign(np.array([1.5, 2.5]))
     drawn.work()
     assert first.read("one").tolist() == [1.5, 2.5] and first.read("word") == "w"
     assert second.read("other").tolist() == [5.0] and second.read("one") is first.read("one")
     assert first.derived is second.derived and (first.time, first.steps) == (0.5, 7)
     simulation.stepper.steps = 8
-    assert snapshot_of(simulation, {"one": source("one", one)}).found["one"] is not first.found["one"]
+    assert snapshot_of(simulation, {"one": source("one", one)}).values["one"] is not first.values["one"]
     assert asked == ["one", "word", "other", "one"]
 
 

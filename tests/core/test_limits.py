@@ -222,7 +222,7 @@ def test_a_missing_sieve_curve_is_told(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # The remark suffices for a command that simulates nothing.
         assert "the mix has no sieve curve" in CliRunner().invoke(cli, ["mix", str(path)]).output
-    with pytest.warns(PlausibilityWarning, match="concrete mix has no sieve curve, so the scene's default"):
+    with pytest.warns(PlausibilityWarning, match="mix has no sieve curve, so its aggregate has the default"):
         repeated = scenes.pipe(concrete=path).parameters
     with pytest.warns(PlausibilityWarning, match="has no sieve curve"):
         scenes.part_dem(concrete=path)
@@ -419,5 +419,5 @@ def test_threads_are_at_least_one_and_at_most_the_cores(monkeypatch):
     monkeypatch.setattr("warpcrete.core.device.device.os.cpu_count", lambda: 4)
     assert [checked_threads(count) for count in (1, 4)] == [1, 4]
     for wrong in (-1, 0, 5, 2.5, math.nan, math.inf):
-        with pytest.raises(SceneError, match=rf"^threads = {wrong}: must be in \[1, 4\]"):
+        with pytest.raises(SceneError, match=rf"^threads = {wrong}: must be a whole number from 1 to 4,"):
             checked_threads(wrong)

@@ -54,6 +54,7 @@ def test_a_closed_pipe_is_blocked_at_its_end(device):
     found = scenes.modules()["pipe"].check(run)
     assert [name for name, (passed, _) in found.items() if not passed] == ["not blocked"]
     assert "BLOCKED" in dict(report(run)) and "force chain" in found["not blocked"][1]
+    assert "1 force chains" not in found["not blocked"][1] and "a larger --modulus" in found["not blocked"][1]
 
 
 def test_an_open_pipe_is_not(device):

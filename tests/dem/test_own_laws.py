@@ -48,7 +48,11 @@ MISTAKES = {
         "friction=0.0, pull=0.0, reach=0.0)",
         r"Sticky\.frictionless\(\) = 'begins to push two spheres apart .*must begin at 0\.0005",
     ),
-    "pulls": ("shear - push *", "shear + push *", r"Sticky\.force\(\) = 'a pull of .*return the opposite sign"),
+    "pulls": (
+        "shear - push *",
+        "shear + push *",
+        r"Sticky\.force\(\) = 'a pull of .*or make the spring stiffer",
+    ),
     "drives": (
         "spring - damping * speed",
         "spring + damping * speed",

@@ -134,17 +134,17 @@ def test_a_moment_stays_as_it_was_and_its_memory_is_used_again(device):
     last = snapshot_of(run, {"a": lambda: array})
     assert np.all(last.read("a") == 2)  # of the same moment: not read again
     if array.device.is_cuda:
-        used = {snapshot.found["a"]._buffers for snapshot in taken}
+        used = {snapshot.values["a"]._buffers for snapshot in taken}
         del snapshot, taken
         for steps in range(3, 9):  # the copies are a graph now
             run.stepper.steps = steps
             array.fill_(float(steps))
-            again = snapshot_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}).found["a"]
+            again = snapshot_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}).values["a"]
             assert again._buffers in used and np.all(again["a"] == steps)
         array = wp.full((7, 3), -1.0, dtype=wp.float32, device=device)  # lists have become others
         run.stepper.steps = 9
         other = snapshot_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps})
-        assert other.found["a"]._buffers not in used and np.all(other.read("a") == -1)
+        assert other.values["a"]._buffers not in used and np.all(other.read("a") == -1)
 
 
 def test_what_is_worked_out_of_a_moment_is_that_of_all_who_draw_it(device):

@@ -162,7 +162,7 @@ def test_a_simulated_bore_says_why_its_range_stays(tmp_path):
         theory = friction(part, concrete, FLOW)
         loss = Loss(part, (simulated or 1.0) * theory, theory, 0.0)
         found = LineResult(line, concrete, FLOW, [loss], 1.5, simulated > 0)
-        assert any("simulated as a fluid without stones" in each for each in found.remarks()) == tells
+        assert any("was simulated as a fluid without stones" in each for each in found.remarks()) == tells
         assert loss.range == (None if more else (1.0, 2.0))
     assert "--simulate" not in ADVICE["bores"]
 

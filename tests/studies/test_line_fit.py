@@ -100,7 +100,7 @@ def test_constants_that_points_do_not_determine_are_kept():
     one_flow = by_scatter(LINE, replace(TRUE, slip_viscosity=900), taps(flows=(30,)))
     assert [x.fitted for x in one_flow.constants] == [True, False, True]
     assert one_flow.constants[0].value == pytest.approx(700, rel=1e-6)
-    assert "not determined by these points, kept" in one_flow.constants[1].text
+    assert "not determined by these points, so left" in one_flow.constants[1].text
     one_place = by_scatter(LINE, TRUE, taps(parts=(0,)))
     assert [x.fitted for x in one_place.constants] == [True, True, False]
     plain = line_of({"diameter": "125 mm", "parts": [{"straight": 60}, {"hose": 6}]})
@@ -342,7 +342,7 @@ def test_a_factor_of_bends_that_the_points_hardly_determine_is_left_out_of_the_f
     assert [x.value for x in unsure.constants[:2]] == pytest.approx([x.value for x in own.constants], rel=1e-9)
     assert unsure.uncertainty == pytest.approx(own.uncertainty, rel=1e-9)
     text = "\n".join(fit_lines(unsure, LINE))
-    assert "factor of bends: not determined by these points, so fitted without it" in text
+    assert "factor of bends: not determined by these points, so left out of the fit" in text
     assert "    bend_factor:" not in text
 
 
@@ -384,7 +384,7 @@ def test_the_weights_of_a_fit_and_of_earlier_knowledge_follow_from_their_bands()
     mean = np.sqrt(plug.slip_viscosity * alone.constants[0].value)
     assert both.constants[0].value == pytest.approx(mean, rel=1e-4)
     assert np.log1p(both.uncertainty) == pytest.approx(np.log(wide) / np.sqrt(2), rel=1e-6)
-    assert "known before has a weight of 50 %" in "\n".join(fit_lines(both, flat))
+    assert "expected before the fit has a weight of 50 %" in "\n".join(fit_lines(both, flat))
 
 
 def test_repeated_rows_count_once():
@@ -400,9 +400,11 @@ def test_a_slip_yield_that_earlier_knowledge_changes_does_not_count_as_kept():
     points = taps(noise=1e5, flows=(30,), parts=(0, 1, 3))
     near = replace(TRUE, slip_viscosity=800.0)
     alone, both = (by_scatter(LINE, near, points, prior) for prior in (None, known(near, 1.1)))
-    assert alone.constants[1].value == near.slip_yield and alone.constants[1].text.endswith("points, kept)")
+    assert alone.constants[1].value == near.slip_yield and alone.constants[1].text.endswith(
+        "points, so left at its expected value)"
+    )
     assert both.prior_share > 0.1 and both.constants[1].value != pytest.approx(near.slip_yield, rel=0.005)
-    assert "kept" not in both.constants[1].text and "known before" in both.constants[1].text
+    assert "so left at" not in both.constants[1].text and "known before" in both.constants[1].text
     exact = by_scatter(LINE, TRUE, taps(flows=(30,)), known(TRUE, 1e9))
     assert exact.constants[1].value == pytest.approx(TRUE.slip_yield, rel=1e-6)
 

@@ -116,7 +116,7 @@ def test_parts_that_no_table_covers_are_simulated(tmp_path, monkeypatch):
     CliRunner().invoke(cli, ["line", str(path), "--device", "cpu", "--out", str(tmp_path / "cpu")])
     assert calls == [True, False, True]
     answer = CliRunner().invoke(cli, ["line", str(path), "--theory"])
-    assert "sharper than all parts of the library" in answer.output
+    assert "sharper than all parts in the table" in answer.output
     path.write_text(SHARP.replace("0.1 m", "1 m"), encoding="utf-8")
     assert "pressure at the pump" in CliRunner().invoke(cli, ["line", str(path)]).output and len(calls) == 3
 

@@ -36,7 +36,7 @@ def test_the_steps_of_a_mortar_with_aggregates_are_foreseen_by_the_mortar_alone(
 
 def test_the_text_of_a_scene_names_vessel_mortar_and_aggregates():
     """The text of the aggregates' fields must not hide that of the vessel."""
-    text = "'slump': scc (40 Pa, 30 Pa s), in space, 0.38 m wide, spacing 0.01 m, 10% aggregates>"
+    text = "'slump': scc (40 Pa, 30 Pa s), three-dimensional, 0.38 m wide, spacing 0.01 m, 10% aggregates>"
     assert repr(scenes.slump(**SLUMP)).endswith(text)
 
 

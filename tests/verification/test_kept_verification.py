@@ -284,7 +284,7 @@ def test_outcomes_of_extreme_scenes_are_judged_and_told(module):
         corners = [
             replace(within, name="corner: 1"), replace(within, name="corner: 2", closest=0.9, balance=0.0, speed=1.0),
             *(replace(stopped, name=f"corner: {k}", stopped=why)
-              for k, why in enumerate(("did not converge", "fastest", "did not converge", "left the column", "other"))),
+              for k, why in enumerate(("did not converge", "fastest", "did not converge", "left the vessel", "other"))),
             replace(refused, name="b"),
         ]  # fmt: skip
     assert within.acceptable and stopped.acceptable and replace(within, expected_outcome="").acceptable

@@ -71,7 +71,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     unknown = [] if requested or at_once else [part for part in given.line.parts if not is_in_library(part)]
     for part in unknown[:1]:
         click.echo(f"note: part {part.number}, {part.label}, is sharper than all parts in the table of simulated "
-                   "parts, so it is simulated now; --theory answers without", err=True)  # fmt: skip
+                   "parts, so it is simulated now; --theory skips this", err=True)  # fmt: skip
     needed = () if settings["blocking"] is None else ("device", "threads")
     for name, usual in () if requested or unknown else FLOW_OPTIONS.items():
         if name not in needed and settings[name] != usual:

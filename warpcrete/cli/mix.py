@@ -43,11 +43,12 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
     given = replace(mix.given, customary=us)
     click.echo("\n" + "\n".join(rule_lines(blocking_rules(given, wide), where)))
     elements = ", run pipe (elements)" if concrete.get("elements") else ""
-    click.echo(f"\nuse it as --concrete {name}: run tube, part, slump ... (flows){elements}, line, theory")
+    flows = "run tube, part, slump ... (flows)"
+    click.echo(f"\ncommands that accept it as --concrete {name}: {flows}{elements}, line, theory")
     if not elements:
         click.echo(
-            "elements have a linear slip layer only: for them, state layer_yield and layer_viscosity in the section "
-            "'elements'"
+            "discrete elements can only have a linear slip layer: state its layer_yield and layer_viscosity in the "
+            "section 'elements'"
         )
     click.echo(f"to simulate its slump with elements: {_cone(mix)}")
     if out is not None:

@@ -226,7 +226,7 @@ class InnerSurface:
         hidden = open_ & (count(kept, flat) == 1)
         if np.any(hidden):
             refuse(field, name, f"has an undercut (wall that is not visible from the axis) {along[hidden].min():.3g} m "
-                   "from its start", "fill the undercut")  # fmt: skip
+                   "from its start", "fill the undercut in a CAD program")  # fmt: skip
 
     def _visible_facets(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """Return the indices of the facets of the inner surface: visible from the axis and not part of a lid."""

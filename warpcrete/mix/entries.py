@@ -102,9 +102,11 @@ class MixEntries:
     share: float | None
     """Volume fraction of coarse aggregate in the concrete; None if the mix does not state it."""
     aggregate_density: float
+    """Density of the coarse aggregate [kg/m3], stated or assumed (:data:`GRAVEL`)."""
     sieve: tuple[tuple[float, float], ...] | None
     """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
     sizes: tuple[float, float] | None
+    """Smallest and largest size of the coarse aggregate [m]; None if the mix states no sizes."""
     shape: str | None
     """Name of the stones' shape in scenes of discrete elements, such as 'spheres'; None if the mix states no shape."""
     concrete: Measured
@@ -112,8 +114,11 @@ class MixEntries:
     viscometer_points: tuple[list[float], list[float]] | None
     """Points measured with a viscometer: shear rates [1/s] and stresses [Pa]; None if the mix states none."""
     slump: float | None
+    """Slump of the concrete [m]."""
     spread: float | None
+    """Spread of the slump cone's concrete at rest [m]."""
     t500: float | None
+    """Time until the spread reaches 500 mm [s]."""
     layer: Layer
     paste_solids: float | None = None
     """Volume fraction of powder in the paste, which consists of powder, water and admixtures, without air."""
@@ -137,7 +142,7 @@ class MixEntries:
 
     @property
     def largest(self) -> float | None:
-        """Diameter of the largest stone [m]."""
+        """Diameter of the largest stone [m]; None if the mix states neither a sieve curve nor sizes."""
         if self.sieve is not None:
             return self.sieve[-1][0]
         return self.sizes[1] if self.sizes is not None else None

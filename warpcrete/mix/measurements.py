@@ -49,7 +49,9 @@ class Layer:
     pipe_points: tuple[list[float], list[float]] | None = None
     """Flows [m3/s] and pressures [Pa] measured in a pipe with the dimensions `diameter`, `length` and `rise`."""
     diameter: float = 0.0
+    """Inner diameter of the pipe [m]."""
     length: float = 0.0
+    """Length of the pipe [m]."""
     rise: float = 0.0
     """Height of the pipe's end above its start [m]."""
     tribometer_points: tuple[list[float], list[float]] | None = None

@@ -362,7 +362,7 @@ def flow_amounts(found: NamedConcrete) -> dict[str, float]:
 
 
 def completed(name: str) -> NamedConcrete:
-    """Return the concrete of a name or path, with the sections that follow from its mix added.
+    """Return the concrete with a given name or file path, including the sections that follow from its mix.
 
     Entries that the concrete's own file states take precedence over entries that follow from its mix. Entries from the
     mix take precedence over entries of the concrete on which the file is based.

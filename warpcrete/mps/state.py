@@ -71,7 +71,7 @@ class FluidState:
         grains = self.grains
         assert grains is not None
         # The device arrays may have lower precision than the layout. Read the rounded positions back, so that the
-        # particles' offsets from their grain's centre fit them.
+        # particles' offsets from their grain's centre agree with them.
         place = self.particles.position.numpy().astype(float)
         middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
         offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]

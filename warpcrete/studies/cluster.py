@@ -147,11 +147,12 @@ class Cluster:
     ) -> None:
         """Run a function on the workers, once for every job.
 
-        The call is `function(record, module, folder, job, asked)`. `where` holds the study's record, the module of its
-        scene and its folder. `jobs` yields pairs of a tag, which identifies the job for the caller, and the job itself.
-        When a job has ended, `store_outcome` is called with the tag and the result or exception. With `lazily`, the
-        next job is read from `jobs` only when a worker is free. `gap` tells whether the user has pressed Ctrl-C. In
-        that case, waiting jobs are cancelled, and the callback `asked` returns True, so that running jobs end early.
+        The call is `function(record, module, folder, job, stop_requested)`. `where` holds the study's record, the
+        module of its scene and its folder. `jobs` yields pairs of a tag, which identifies the job for the caller, and
+        the job itself. When a job has ended, `store_outcome` is called with the tag and the result or exception. With
+        `lazily`, the next job is read from `jobs` only when a worker is free. `gap` tells whether the user has pressed
+        Ctrl-C. In that case, waiting jobs are cancelled, and the callback `stop_requested` returns True, so that
+        running jobs end early.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet
@@ -370,7 +371,7 @@ def _run_job(
 
 
 def _run_part(
-    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
+    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], stop_requested: Callable[[], bool]
 ) -> list[Any]:
     """Run cases of a study on a worker, and return the outcomes of all `cases` in their order.
 
@@ -378,7 +379,7 @@ def _run_part(
     """
     found = {case.name: previous_outcome(folder / case.name) for case in cases}
     left = [case for case in cases if found[case.name] is None]
-    found |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, asked)))
+    found |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, stop_requested)))
     return [found[case.name] for case in cases]
 
 

@@ -187,23 +187,25 @@ def run_in_processes(
             print("interrupted, because a worker process received SIGTERM", file=sys.stderr, flush=True)
 
 
-def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, asked: Callable[[], bool]) -> Any:
+def run_case(
+    record: dict[str, Any], module_name: str, folder: str, case: Case, stop_requested: Callable[[], bool]
+) -> Any:
     """Run one case in a worker process; return the contents of its result.json, or the exception that ended it."""
-    return run_cases(record, importlib.import_module(module_name), Path(folder), [case], asked)[0]
+    return run_cases(record, importlib.import_module(module_name), Path(folder), [case], stop_requested)[0]
 
 
 def run_cases(
-    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
+    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], stop_requested: Callable[[], bool]
 ) -> list[Any]:
     """Run cases of a study together, and return their outcomes.
 
-    Each run on a CPU has as many threads as `record` states (default 1). The runs end early when the callback `asked`
-    returns True. The result has one element for each case: the contents of its result.json, the exception that ended
-    it, or None if it was stopped before it ran.
+    Each run on a CPU has as many threads as `record` states (default 1). The runs end early when the callback
+    `stop_requested` returns True. The result has one element for each case: the contents of its result.json, the
+    exception that ended it, or None if it was stopped before it ran.
     """
     simulations: list[Simulation] = []
-    report_progress = stop_callback(asked, simulations)
-    if not cases or asked():
+    report_progress = stop_callback(stop_requested, simulations)
+    if not cases or stop_requested():
         return [None] * len(cases)
     by_name, found = simulations_of(record, module, folder, cases, lambda case: report_progress)
     simulations += [simulation for simulation, _ in by_name.values()]
@@ -212,15 +214,15 @@ def run_cases(
     return [found[case.name] for case in cases]
 
 
-def stop_callback(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
-    """Return a progress callback that ends the `simulations` when `asked` returns True.
+def stop_callback(stop_requested: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
+    """Return a progress callback that ends the `simulations` when `stop_requested` returns True.
 
     A simulation that is running ends the next time it takes measurements. If it is still in an earlier phase, such as
     packing, it is interrupted at once by a `KeyboardInterrupt`.
     """
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
-        if asked():
+        if stop_requested():
             if phase not in ("running", "compiling"):
                 raise KeyboardInterrupt
             for simulation in simulations:

@@ -29,7 +29,7 @@ CONTACT_ARRAYS = ("last_other", "last_normal", "last_force")
 
 @dataclass(frozen=True)
 class Aggregates:
-    """Aggregates in a mortar at the start of a run: spheres, or clumps of several spheres."""
+    """Aggregates in a mortar at the start of a run: n rigid bodies, each a sphere or a clump of spheres."""
 
     centre: np.ndarray
     """Positions of the aggregates' centres in the coordinates of the grid [m], shape (n, 3)."""
@@ -89,7 +89,7 @@ class Aggregates:
 
 
 class Spheres:
-    """Spheres of which aggregates consist, aggregate by aggregate; the number of spheres is m."""
+    """All spheres of the aggregates, sorted by aggregate; m is their number."""
 
     def __init__(self, aggregates: Aggregates) -> None:
         kinds, size, shapes = aggregates.kinds, aggregates.size, aggregates.shapes

@@ -50,11 +50,15 @@ def cloud(device, precision) -> list[Row]:
     tolerance = 3e-7 if precision == "float32" else 1e-14
     slowed = float(np.linalg.norm(state.bodies.velocity.numpy(), axis=1).mean() / np.linalg.norm(speeds, axis=1).mean())
     linear, angular = (float(np.linalg.norm(after[k] - before[k])) for k in (0, 1))
-    label = f"change of the momentum of {count} clumps over the sum of its magnitudes"
+    label = f"change of the momentum of {count} clumps, divided by the sum of its magnitudes"
     return [
         Row(label, linear / moved, 0.0, tolerance, scale=1.0),
         Row(
-            "change of the angular momentum over the sum of its magnitudes", angular / turned, 0.0, tolerance, scale=1.0
+            "change of the angular momentum, divided by the sum of its magnitudes",
+            angular / turned,
+            0.0,
+            tolerance,
+            scale=1.0,
         ),
         Row("collisions: the mean speed fell below half (1: yes)", float(slowed < 0.5), 1.0, 0.0),
     ]
@@ -106,9 +110,15 @@ def pumping(device, precision) -> list[Row]:
         steps.append(run.result["steps"])
         broken = run.series["broken_tension"][-1] + run.series["broken_shear"][-1]
     return [
-        Row("stored + lost - work, over the work, default step", abs(errors[0]), 0.0, 3e-4, scale=1.0),
-        Row("the same with a quarter of the step", abs(errors[1]), 0.0, 1e-4, scale=1.0),
-        Row("momentum of the run, impulses over change", run.result["momentum_balance_error"], 0.0, 1e-6, scale=1.0),
+        Row(
+            "stored + dissipated energy - work, divided by the work, default time step",
+            abs(errors[0]),
+            0.0,
+            3e-4,
+            scale=1.0,
+        ),
+        Row("the same with a quarter of the time step", abs(errors[1]), 0.0, 1e-4, scale=1.0),
+        Row("error of the momentum balance of the run", run.result["momentum_balance_error"], 0.0, 1e-6, scale=1.0),
         Row("bonds broke during the run (1: yes)", float(broken > 50), 1.0, 0.0),
     ]
 
@@ -152,8 +162,8 @@ def janssen(device, precision) -> list[Row]:
     ratio = wall / mean_vertical
     limit = weight / filled * radius / (2 * friction * ratio)
     rows += [
-        Row("load on floor and wall together over the weight", (floor + shear) / weight, 1.0, 1e-3),
-        Row("friction over wall load: mobilised", shear / (friction * normal), 1.0, 0.03),
+        Row("load on floor and wall together, divided by the weight", (floor + shear) / weight, 1.0, 1e-3),
+        Row("wall friction, divided by mu times the normal force", shear / (friction * normal), 1.0, 0.03),
         Row("load on the floor", floor, limit * (1 - math.exp(-weight / limit)), 0.03, "N"),
     ]
     return rows

@@ -60,7 +60,7 @@ class Case:
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:
-    """Return a stepper, which advances a scene in time, for a scene that states the positions of all its bodies."""
+    """Return a stepper that advances a scene in time. The scene must state the positions of all its bodies."""
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     stepper.choose_dt()

@@ -109,7 +109,7 @@ def rolling(device, precision) -> list[Row]:
         faster, spun = ((later - earlier) / span for earlier, later in zip(first, second))
         rows += [
             Row(f"acceleration {label} the threshold of slip", faster, acceleration, tolerance, "m/s2"),
-            Row(f"angular acceleration {label} it", spun, turning, tolerance, "rad/s2"),
+            Row(f"angular acceleration {label} the threshold of slip", spun, turning, tolerance, "rad/s2"),
         ]
     return rows
 
@@ -206,7 +206,7 @@ def meshes(device, precision) -> list[Row]:
             near = np.clip(place, -0.05, 0.05)
             overlap = max(RADIUS - float(np.linalg.norm(place - near)), 0.0)
             worst = max(worst, abs(force - STIFFNESS * overlap))
-        rows.append(Row(f"force {label}: largest error over the greatest force", worst / (STIFFNESS * depth), 0.0,
+        rows.append(Row(f"force {label}: largest error, divided by the largest force", worst / (STIFFNESS * depth), 0.0,
                         5e-6 if precision == "float32" else 1e-11, scale=1.0))  # fmt: skip
     return rows
 

@@ -62,7 +62,7 @@ def heap(device: str, precision: str) -> list[Row]:
     return [
         Row("reach", float(run.series["spread"][-1]), reach, 0.012, "m"),
         Row("depth in the middle", float(run.series["top"][-1]), depth, 0.02, "m"),
-        Row("profile, rms over the depth", off, 0.0, 0.02, scale=1.0),
+        Row("rms error of the profile, divided by the depth", off, 0.0, 0.02, scale=1.0),
         Row("volume", 1 + run.result["volume_error"], 1.0, 5e-3),
     ]
 

@@ -247,7 +247,7 @@ def shear_case(device: str, precision: str) -> list[Row]:
     for shift in ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.25, 0.1, 0.3)):
         spin, slope = sheared(4, 16, shift, device, precision)
         name = f"4 cells, {shift[0]:g} cells off"
-        found += [Row(f"{name}: spin", spin, 1.0, SPIN), Row(f"{name}: viscosity's slope", slope, 2.5, SLOPE)]
+        found += [Row(f"{name}: spin", spin, 1.0, SPIN), Row(f"{name}: slope of the viscosity", slope, 2.5, SLOPE)]
     return found
 
 

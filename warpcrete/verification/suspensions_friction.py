@@ -58,10 +58,15 @@ def friction_case(device: str, precision: str) -> list[Row]:
     force = float(flow.aggregates.pairs.grip.numpy()[0]) * (found[0] - LEVER * found[1])
     loaded = motion(pushed(0.0, PRESS - FRICTION * normal, FRICTION * normal * LEVER, device, precision))
     return [
-        Row("speed of the surface over velocity, pushed with 0.2 N", LEVER * spin / velocity, 1.0, 0.01),
-        Row("friction over mu times normal force, pushed with 1 N", force / (FRICTION * normal), 1.0, 0.015),
-        Row("velocity over that with the same loads", found[0] / loaded[0], 1.0, 0.01),
-        Row("spin over that with the same loads", found[1] / loaded[1], 1.0, 0.025),
+        Row(
+            "speed of the surface by rotation, divided by the velocity, pushed with 0.2 N",
+            LEVER * spin / velocity,
+            1.0,
+            0.01,
+        ),
+        Row("friction, divided by mu times the normal force, pushed with 1 N", force / (FRICTION * normal), 1.0, 0.015),
+        Row("velocity, divided by that without friction under the same loads", found[0] / loaded[0], 1.0, 0.01),
+        Row("spin, divided by that without friction under the same loads", found[1] / loaded[1], 1.0, 0.025),
     ]
 
 

@@ -153,8 +153,8 @@ def balance_case(device: str, precision: str) -> list[Row]:
     power = max(abs(step.error) for step in steps)
     momentum = max(abs(step.momentum - step.impulse) / step.impulse_scale for step in steps)
     return [
-        Row("supplied minus spent power, over all power", power, 0.0, allowed, scale=1.0),
-        Row("momentum minus impulse, over all forces", momentum, 0.0, allowed, scale=1.0),
+        Row("supplied minus spent power, divided by the sum of all powers", power, 0.0, allowed, scale=1.0),
+        Row("momentum minus impulse, divided by the sum of all forces", momentum, 0.0, allowed, scale=1.0),
     ]
 
 
@@ -171,7 +171,7 @@ def random_case(device: str, precision: str) -> list[Row]:
 def yield_case(device: str, precision: str) -> list[Row]:
     """Compare the yield stress of a suspension at a Bingham number of 1 with Chateau, Ovarlez & Trung (2008)."""
     factor, expected = yield_factor(0.2, 0, 1.0, device, precision)
-    return [Row("yield stress over that of the mortar", factor, expected, 0.15)]
+    return [Row("yield stress, divided by that of the mortar", factor, expected, 0.15)]
 
 
 GROUP = "aggregates in mortar"

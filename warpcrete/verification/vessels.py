@@ -24,7 +24,7 @@ INNER, OUTER, TURNS = 0.05, 0.1, 1.0
 """Radii of the inner and outer cylinder [m], and angular velocity of the inner cylinder [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
 """Radius of the round pipe [m], and mean velocity of the flow in it [m/s]."""
-COUETTE_ERROR = "error of the velocity, rms, over the speed of the wall"
+COUETTE_ERROR = "rms error of the velocity, divided by the speed of the wall"
 """Name of the quantity that the cases of flows between two cylinders compare."""
 
 
@@ -196,7 +196,7 @@ def tilted_vessel(**given) -> FreeScene:
 
 
 def rest(device: str, precision: str) -> list[Row]:
-    """Compare a Newtonian fluid at rest in a vessel with slanted sides with hydrostatics, in a plane and in space."""
+    """Compare a Newtonian fluid at rest in a vessel with slanted sides with hydrostatics, in 2D and 3D."""
     found = []
     for depth, name in ((0.0, "plane"), (0.05, "space")):
         simulation = FreeSimulation(tilted_vessel(depth=depth), device=device, precision=precision)
@@ -214,7 +214,13 @@ def rest(device: str, precision: str) -> list[Row]:
         found += [
             # Measured errors in a plane: 5e-4 of the pressure at the bottom, 0.06 mm/s of mean speed, and 0.09 % of the
             # volume. In space: 1.5e-3 of the pressure at the bottom, 0.17 mm/s of mean speed, and 0.14 % of the volume.
-            Row(f"{name}: pressure, largest error over that at the bottom", off / exact.max(), 0.0, 2e-3, scale=1.0),
+            Row(
+                f"{name}: largest error of the pressure, divided by the pressure at the bottom",
+                off / exact.max(),
+                0.0,
+                2e-3,
+                scale=1.0,
+            ),
             Row(f"{name}: speed, mean", float(run.series["mean_speed"][-1]), 0.0, 2e-4, "m/s", scale=1.0),
             Row(f"{name}: volume", 1 + run.result["volume_error"], 1.0, 2e-3),
         ]
@@ -224,6 +230,6 @@ def rest(device: str, precision: str) -> list[Row]:
 CASES = [
     Case("flow between cylinders, walls through cells", "Couette", cylinders, "flows"),
     Case("slip layers on walls through cells", "Couette", cylinders_with_layers, "flows"),
-    Case("round pipe in space, walls through cells", "Buckingham and Reiner", pipe_in_space, "flows"),
+    Case("round pipe in three dimensions, walls through cells", "Buckingham and Reiner", pipe_in_space, "flows"),
     Case("rest in a tilted vessel", "hydrostatics", rest, "flows"),
 ]

@@ -208,8 +208,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cell, shape (n,).
-        # Position [m] and, as the last number, relative mass of each particle, in the order of `sorted_particles`. In a
-        # plane, the third number is unused. Shape (n,); empty on a CPU.
+        # Position [m] and, as the last number, relative mass of each particle, in the order of `sorted_particles`. In
+        # two dimensions, the third number is unused. Shape (n,); empty on a CPU.
         sorted_place: wp.array(dtype=types(scalar).vec4)
         # Velocity gradient [1/s] and velocity [m/s] of each particle, in the order of `sorted_particles`, shape (axes *
         # n,); empty on a CPU. The entry axes * k + a holds row a of the gradient of particle k and, as the last number,

@@ -39,15 +39,15 @@ class Simulation(CheckpointedSimulation):
     """Simulation of a scene on a device from t = 0 to its end; the scene's type selects the simulation method.
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
-    `float64`; None takes the precision that the scene states. `threads` is the number of threads on a CPU; None takes
-    one thread for each core. The results of flows on a grid are bitwise equal for any number of threads; the
+    `float64`; None selects the precision of the scene. `threads` is the number of threads on a CPU; None selects one
+    thread for each core. The results of flows on a grid are bitwise equal for any number of threads; the
     results of discrete elements are bitwise equal only for equal numbers of threads. `frame_interval` is the simulated
-    time between two recorded frames [s]; None takes the default of :class:`warpcrete.core.run.frames.Frames`.
+    time between two recorded frames [s]; None selects the default of :class:`warpcrete.core.run.frames.Frames`.
     `progress` is True for a progress bar, or a callback.
 
-    `out` is the path of a new run folder, which then holds everything that `warpcrete run` writes, and which an
-    interrupted run continues; a :class:`warpcrete.RunFolder` also selects recordings and colours. The checkpoint is in
-    this folder; with `checkpoint_every=0`, no checkpoint is written, as in the command.
+    `out` is the path of a run folder, which gets everything that `warpcrete run` writes. If the folder holds an
+    interrupted run of the same scene, this run continues. A :class:`warpcrete.RunFolder` also selects recordings and
+    colours. The checkpoint is in this folder; with `checkpoint_every=0`, no checkpoint is written, as in the command.
 
     Without `out`, the file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall
     time (0: at every row of the time series), at an interruption and at the end. The file is removed when all other

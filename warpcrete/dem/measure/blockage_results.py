@@ -66,7 +66,8 @@ def blocked_words(run: Any) -> str:
     """Return a phrase that says where the pipe of `run` was blocked, with the evidence for the blockage."""
     found = {name: number(run.result[f"blocked_{name}"]) for name in
              ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
-    spans = f"{found['chains']:.0f} force chains span" if found["chains"] else "no force chain spans"
+    ending = " spans" if found["chains"] == 1 else "s span"
+    spans = f"{found['chains']:.0f} force chain{ending}" if found["chains"] else "no force chain spans"
     travel = found["from_travel"]
     since = f"a piston travel of {travel:.3g} m" if travel > 0 else "the piston began to move"
     return (

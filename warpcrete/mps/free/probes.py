@@ -57,7 +57,7 @@ def radii(layout: GridLayout) -> np.ndarray:
 
 
 def _filled_walls(flow: GridFlow, fill: np.ndarray) -> np.ndarray:
-    """Return the filled fraction of each cell of a round vessel, with estimates for cells inside walls, such as bars.
+    """Return the filled fraction of each cell of a round vessel; cells in walls, such as bars, get estimates.
 
     A cell inside a wall gets the mean fraction of the other cells at its distance from the axis. Both arrays have the
     shape (nz, ny, nx).

@@ -96,7 +96,7 @@ def _mirrors(scene: FreeScene) -> int:
 
 
 def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:
-    """Return the fraction of space in the concrete's initial outline that three-dimensional walls leave free."""
+    """Return the fraction of the volume in the concrete's initial outline that is free of three-dimensional walls."""
     if not scene.walls:
         return 1.0
     (left, low), (right, high) = scene.extent

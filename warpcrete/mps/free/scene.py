@@ -61,7 +61,7 @@ class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel: an axisymmetric, plane or three-dimensional flow with a free surface; SI units.
 
     Each polygon is the vertical cross-section of a body. The body extends through the whole depth of the simulated
-    space, or is a body of revolution if the flow is about an axis or if `round` is true.
+    space, or is a body of revolution if the flow is axisymmetric or if `round` is true.
     """
 
     name: str
@@ -69,7 +69,7 @@ class FreeScene(Parametrised, FreeSettings):
     """Standard test whose results are measured; None without a test."""
     concrete: Concrete
     axial: bool
-    """True for an axisymmetric flow about x = 0. False for a flow in a plane (per metre of depth) or in space."""
+    """True for an axisymmetric flow about x = 0. False for a plane flow (per metre of depth) or in three dimensions."""
     width: float
     """Width of the simulated space, which is a box around the vessel [m]."""
     height: float
@@ -79,10 +79,10 @@ class FreeScene(Parametrised, FreeSettings):
     outline: Points
     """Polygon whose interior the concrete fills at the start, except for the parts inside walls."""
     depth: float = 0.0
-    """Depth of the simulated space [m]; 0 for a flow in a plane or about an axis."""
+    """Depth of the simulated space [m]; 0 for a plane or an axisymmetric flow."""
     round: bool = False
-    """True if the polygons of a flow in space are vertical cross-sections of bodies of revolution about the axis x = y
-    = 0."""
+    """True if the polygons of a three-dimensional flow are vertical cross-sections of bodies of revolution about the
+    axis x = y = 0."""
     blocks: tuple[Points, ...] = ()
     """Polygons that are the vertical cross-sections of walls at rest."""
     walls: tuple[Wall, ...] = ()
@@ -93,8 +93,8 @@ class FreeScene(Parametrised, FreeSettings):
     sides: Mapping[str, str] = field(default_factory=dict)
     """Kind of each side of the simulated space, by the names in SIDES.
 
-    A side is a "wall", a "mirror" (plane of symmetry) or "open" (concrete that reaches it is gone). Sides that are not
-    named are walls, with two exceptions: the top is open, and the left side of an axisymmetric flow is the axis.
+    A side is a "wall", a "mirror" (plane of symmetry) or "open" (concrete that reaches it is removed). Sides without
+    an entry are walls, with two exceptions: the top is open, and the left side of an axisymmetric flow is the axis.
     """
     gate: Points = ()
     """Polygon of the gate or mould that is lifted; empty if nothing holds the concrete back."""
@@ -129,13 +129,13 @@ class FreeScene(Parametrised, FreeSettings):
             positive(name, getattr(self, name), "m")
         between("depth", self.depth, 0, np.inf, "m")
         if self.axial and self.depth:
-            problem = "must be 0 for a flow about an axis, because only a flow in space has a depth"
+            problem = "must be 0 for an axisymmetric flow, because only a three-dimensional flow has a depth"
             refuse("depth", self.depth, problem, "use 0")
         if self.round and not self.depth:
             hint = "set 'depth' to the value of 'width', or use 'axial' for an axisymmetric flow"
             refuse("round", self.round, "needs a three-dimensional flow, but 'depth' is 0", hint)
         if self.walls and not self.depth:
-            problem = "must be empty for a flow in a plane or about an axis"
+            problem = "must be empty for a plane or an axisymmetric flow"
             refuse("walls", f"{len(self.walls)}", problem, "set 'depth' above 0, or use 'blocks' instead")
         for name, kind in self.sides.items():
             one_of("sides", name, [side for pair in SIDES for side in pair])
@@ -200,8 +200,8 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def form(self) -> str:
-        """Geometry of the flow in words: about an axis, in a plane or in space."""
-        return "about an axis" if self.axial else "in space" if self.depth else "in a plane"
+        """Geometry of the flow in words: axisymmetric, plane or three-dimensional."""
+        return "axisymmetric" if self.axial else "three-dimensional" if self.depth else "plane"
 
     def __repr__(self) -> str:
         return (

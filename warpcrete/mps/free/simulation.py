@@ -54,10 +54,7 @@ class FreeSimulation(FlowRun):
         return measured(self.flow, self.volume)
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row contains a number that is not finite, or the plate is too small.
-
-        The plate is too small if the concrete has reached its edge.
-        """
+        """Raise :class:`InstabilityError` if a number is not finite, or if concrete has reached the plate's edge."""
         super().watch_row(row)
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test and self.scene.test.on_plate and self.flow.steps and reach(self.flow) > room:

@@ -42,7 +42,7 @@ def distances_from(distance: Distance, points: np.ndarray) -> np.ndarray:
 
 
 def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> Distance:
-    """Return the distance function of a wall in space.
+    """Return the distance function of a three-dimensional wall.
 
     A mesh must be closed; concrete is on the side of the mesh where the point `within` lies [m], shape (3,).
     """

@@ -323,7 +323,7 @@ def _hat_parts(ends: np.ndarray, fine: int, radius: np.ndarray | None = None) ->
         parts = parts * radius.reshape(*radius.shape, *[1] * (axes - 1))
     hats = np.maximum(1 - np.abs(inner[:, None] - np.array([-0.5, 0.5, 1.5])), 0.0) / fine
     for _ in range(axes):
-        # Each product replaces the first remaining axis of sample points by an axis of neighbours at the end.
+        # Each product sums over one axis of sample points, and appends an axis of the neighbours (-1, 0, 1).
         parts = np.tensordot(parts, hats, (1, 0))
     return parts.reshape(len(ends), 3**axes)
 

@@ -35,8 +35,8 @@ GPU_LISTS = ("sorted_place", "sorted_motion")
 the struct `Fields` instead."""
 SLOT_BYTES = {2: 4 * 359, 3: 4 * 654}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
-by number of axes. The number holds for full cells, with nine particles each in a plane and eight in space. In a plane,
-a CPU needs 8 % less."""
+by number of axes. The number holds for full cells, with nine particles each in two dimensions and eight in three. In
+two dimensions, a CPU needs 8 % less."""
 
 FIRST_STEP_RATIO = 0.01
 """Length of the first step, divided by the longest allowed one, if the length of time steps adapts to the flow."""

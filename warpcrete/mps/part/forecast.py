@@ -21,7 +21,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
         lambda: PartSimulation(scene, device=str(device), precision=precision, threads=threads),
         _course,
         lambda simulation: {
-            "dimensions": "half of the part, in space" if scene.is_half else "in space",
+            "dimensions": "three, half of the part" if scene.is_half else "three",
             "walls": "mesh" if scene.wall is not None else "exact",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",

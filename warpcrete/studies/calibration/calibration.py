@@ -161,5 +161,5 @@ class Calibration:
                         "not rely on this answer; use a smaller 'spacing' or a longer 'duration' in the targets' "
                         "parameters")  # fmt: skip
         if not self.settled:
-            texts.append("the search ended before it converged; give it more trials")
+            texts.append("the search ended before it converged; continue it with more trials")
         return texts

@@ -106,7 +106,7 @@ class BlockingProbability:
             f"{100 * high:.2g} % (Wilson 1927)",
             f"{self.stones} stones up to {both(us, 'mm', self.stone, digits=3)} in a bore of "
             f"{both(us, 'mm', self.part.narrow)}, a ratio of {ratio:.2g}, with a friction of {self.friction:g} between "
-            "them; elements show arches of stones, not bleeding or priming",
+            "them; the simulation shows arches of stones, but neither bleeding nor faults of priming",
         ]
         if self.coarse > 1:
             found.append(f"stones are enlarged {self.coarse:g} times, which makes blocking likelier")

@@ -39,7 +39,7 @@ friction factor of bends. A fit in which a constant does not exceed its limit is
 NO_SLIP = 1e6
 """Slip viscosity [Pa s/m] at which concrete practically sticks to the wall. Slip layers have 100 to 10000 Pa s/m. A
 larger fitted value hardly changes the friction any more, so it means that no slip layer explains the pressures."""
-NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
+NO_FACTOR = "not determined by these points, so left out of the fit; each bend keeps the factor of the table"
 """Reason why the friction factor of bends was left out of a fit."""
 NOTHING = {1: 1e-3, 2: FACTORS[0]}
 """Limits below which a fitted constant counts as indistinguishable from zero, by the index of the constant: 1 is the

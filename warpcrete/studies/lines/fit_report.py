@@ -31,7 +31,7 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
         "",
         *(f"- {each.text}" for each in fit.constants),
         *(
-            [f"- the slip layer that was known before has a weight of {100 * fit.prior_share:.2g} % in this layer"]
+            [f"- the slip layer expected before the fit has a weight of {100 * fit.prior_share:.2g} % in this result"]
             if fit.prior_share >= NOTICED
             else []
         ),
@@ -101,7 +101,7 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
 
 
 def _meaning(fit: LineFit) -> str:
-    """Return a sentence that compares the fit with the values that the concrete's file lets expect."""
+    """Return a sentence that compares the fit with the values expected from the concrete's file."""
     text = f"the friction in straight pipe is {fit.expected:.3g} times the value expected from the concrete's file"
     if fit.outside:
         text += f"; outside the expected band: {', '.join(fit.outside)}"

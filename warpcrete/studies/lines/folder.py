@@ -35,9 +35,9 @@ def part_simulation(
 ) -> tuple[Simulation, Path | None]:
     """Return the simulation of a part of a pump line, and the path of the checkpoint from which it continues, or None.
 
-    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues this run in its
-    folder. Otherwise, it starts in a new folder with the name `called`. If the part has a mesh, `digest` is the
-    checksum of the mesh file.
+    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues this run in the
+    folder of the run. Otherwise, it starts in a new folder with the name `called`. If the part has a mesh, `digest` is
+    the checksum of the mesh file.
     """
     if out is None:
         return Simulation(scene, recorders=[CheckRecorder(check)], **settings), None

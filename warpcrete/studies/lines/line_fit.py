@@ -32,7 +32,7 @@ class FittedConstant:
     unit: str
     fitted: bool
     """True if the measured pressures determine the constant. Otherwise `reason` states how it got its value."""
-    reason: str = "not determined by these points, kept"
+    reason: str = "not determined by these points, so left at its expected value"
     """Reason for the value of the constant if the measured pressures do not determine it."""
 
     @property

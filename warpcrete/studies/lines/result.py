@@ -272,11 +272,11 @@ class LineResult(LinePressures):
         """Return remarks for the user about the line, failed checks, and places where the concrete column breaks."""
         found = self.line.remarks()
         found += [f"check FAILED in {name}: {what}" for name, bad in self.failed.items() for what in bad]
-        found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts of the library of simulated parts; "
+        found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts in the table of simulated parts; "
                   "--simulate computes it" for x in self.losses
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
-        found += [f"part {x.part.number}: simulated as a fluid without stones, which may add to its friction, so that "
-                  "its range stays; a measured 'factor' narrows it"
+        found += [f"part {x.part.number} was simulated as a fluid without stones; stones may add to its friction, so "
+                  "the range of its friction is kept; a measured 'factor' would narrow it"
                   for x in self.losses  # A bore that was not simulated has the friction of theory.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:

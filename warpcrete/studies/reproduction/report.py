@@ -29,12 +29,12 @@ from .state import Reproduction, key_of, pressures, unit_case, verdict_of
 WHAT = {
     "literal": "Table 1 as printed",
     "calibrated": (
-        "with a wall layer of 1190 Pa s/m and a wall friction of 0.034, fitted to the ends of units A and "
+        "with a wall layer of 1190 Pa s/m and a wall friction of 0.034, fitted to the final pressures of units A and "
         "B only; everything else is predicted"
     ),
     "stiff stones": (
         "contacts of 1e7 Pa, packed to a solid fraction of 0.62, instead of contacts of 1e5 Pa packed to "
-        "1 kPa; the layer of 1660 Pa s/m is fitted to the same ends"
+        "1 kPa; the layer of 1660 Pa s/m is fitted to the same final pressures"
     ),
 }
 """Descriptions of the concretes in the report."""

@@ -63,7 +63,8 @@ def own_error(trade: Trade) -> str:
     found = [f"{100 * error:.2g} % ({name})" for name, error in trade.reference_errors.items() if math.isfinite(error)]
     if not found:
         return ""
-    return f" Its own error, by extrapolation to fine cells, is {', '.join(found)}, and promises contain it."
+    error = f"Its own error, estimated by extrapolation to infinitely fine cells, is {', '.join(found)}"
+    return f" {error}; the guaranteed errors include it."
 
 
 def _beside(trade: Trade) -> str:

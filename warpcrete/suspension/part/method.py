@@ -20,7 +20,7 @@ def forecast(scene: PartSuspensionScene, device: Any, precision: str, threads: i
         lambda: PartSuspensionSimulation(scene, device=str(device), precision=precision, threads=threads),
         lambda simulation: Course(scene.duration, scene.time_step),
         lambda simulation: {
-            "dimensions": "half of the part, in space" if scene.is_half else "in space",
+            "dimensions": "three, half of the part" if scene.is_half else "three",
             "walls": "mesh" if scene.wall is not None else "exact",
             "aggregates": f"{in_words(simulation.flow.aggregates, scene)}; {int((simulation.entering > 0).sum())} of "
                           "them enter during the run",

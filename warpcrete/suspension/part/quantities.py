@@ -72,7 +72,9 @@ BLOCKED = "the part was blocked"
 
 QUANTITIES = (
     *(
-        replace(each, meaning=each.meaning.replace("by theory", "by theory, of the mortar without aggregates"))
+        replace(each, meaning=f"{each.meaning}; theory of mortar without aggregates")
+        if "heoretical" in each.meaning
+        else each
         for each in PART_QUANTITIES
         if each.name != "middle_excess"
     ),

@@ -35,7 +35,7 @@ class BlockageSettings(Declared):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
-    """Mortar with rigid spheres in a part of a pump line; `concrete` holds the constants of the mortar alone."""
+    """Mortar with rigid aggregates in a part of a pump line; `concrete` holds the constants of the mortar alone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -20,7 +20,7 @@ def forecast(scene: StretchScene, device: Any, precision: str, threads: int | No
         lambda: StretchSimulation(scene, device=str(device), precision=precision, threads=threads),
         lambda simulation: Course(scene.duration, scene.time_step, _too_short(scene)),
         lambda simulation: {
-            "dimensions": "in space, connected ends",
+            "dimensions": "three, connected ends",
             "wall": "slip layer" if scene.slips else "mortar sticks",
             "aggregates": in_words(simulation.flow.aggregates, scene),
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",

@@ -64,9 +64,9 @@ class StretchSettings(Declared):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class StretchScene(SphereFields, Parametrised, StretchSettings):
-    """Mortar with rigid spheres in a stretch of an endless upright pipe; SI units.
+    """Mortar with rigid aggregates in a stretch of an endless upright pipe; SI units.
 
-    `concrete` holds the constants of the mortar between the spheres. The axis of the pipe is the z axis.
+    `concrete` holds the constants of the mortar alone. The axis of the pipe is the z axis.
     """
 
     name: str
@@ -87,7 +87,8 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     symmetry; 0 for a round pipe."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
+    """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
+    such function."""
 
     step_error: ClassVar[float] = 0.0
     """Allowed error of a time step; 0, because all time steps have the same length and do not adapt to an error."""
