@@ -17,7 +17,7 @@ from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.mps.common.stepping import run_abreast
 from warpcrete.mps.part.layout import INLET, Frame, part_layout
-from warpcrete.mps.part.probes import _slope, stations_of
+from warpcrete.mps.part.probes import stations_of
 from warpcrete.mps.part.simulation import PartSimulation
 from warpcrete.scenes import modules
 
@@ -425,11 +425,3 @@ def test_a_part_that_narrows_says_which_cells_it_needs():
     assert remark.startswith("only 8.0 cells") and remark.endswith("use 'spacing' = 0.0072 m or less")
     for given in ({"spacing": 0.0072}, {"outlet_diameter": None}):
         assert not any("narrowest section" in remark for remark in scenes.part(**cone | given).remarks)
-
-
-def test_slopes_beside_cells_without_concrete_are_those_to_the_other_neighbour():
-    values = np.array([0.0, 1.0, 4.0, 9.0, 16.0, 25.0, 36.0])
-    known = np.array([True, True, True, True, False, True, False])
-    for shape, axis in (((7, 1), 0), ((1, 7), 1)):
-        slope = _slope(values.reshape(shape), known.reshape(shape), axis).ravel()
-        assert slope[known].tolist() == [1.0, 2.0, 4.0, 5.0, 0.0]
