@@ -103,6 +103,7 @@ def by_method(name: str, method: str) -> str:
     if method not in found:
         refuse("method", method, f"must be one of {', '.join(found)} for scene {name!r}" if found else
                f"cannot be chosen, because there is no scene {name!r}",
+               "the method of a flow is called 'mps'" if method == "flow" and "mps" in found else
                "'warpcrete list' shows all scenes")  # fmt: skip
     return found[method]
 

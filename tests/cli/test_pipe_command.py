@@ -11,9 +11,13 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from conftest import devices
 from pumping import INTERRUPTIBLE, TINY, command, open_tube, small_options, wait_until
 from test_recordings import columns
+
+from warpcrete import Simulation
+from warpcrete.cli.main import cli
 
 
 @pytest.fixture(scope="module")
@@ -192,6 +196,15 @@ def test_no_gpu_where_one_is_asked_for(tmp_path):
     lines = [line for line in done.stderr.splitlines() if not line.startswith("note:")]
     assert done.returncode == 2 and len(lines) == 1 and f"device = {none!r}: {words}" in lines[0]
     assert not (tmp_path / "run").exists()
+
+
+def test_ctrl_c_before_the_run_says_that_nothing_is_saved(tmp_path, monkeypatch):
+    def stop(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Simulation, "begin", stop)
+    found = CliRunner().invoke(cli, ["run", "pipe", *small_options(**TINY), "--out", str(tmp_path / "run")])
+    assert found.exit_code and "nothing is saved; repeat the command" in found.output
 
 
 @pytest.mark.thorough

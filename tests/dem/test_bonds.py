@@ -181,6 +181,15 @@ def test_bond_across_a_gap_wider_than_the_skin_stays_listed(start):
     assert len(pair_history(stepper.state)) == 1
 
 
+@pytest.mark.parametrize(("apart", "made"), [(0.99, 1), (1.01, 0)])
+def test_bonds_reach_across_gaps_wider_than_the_skin(apart, made, start):
+    """The lists hold such pairs while bonds are made, and have their own skin again afterwards."""
+    bonds = strong(gap=RADIUS)
+    stepper = start(two_spheres(gap=apart * RADIUS, contact=SMOOTH, bonds=bonds, dt=2e-5), skin=0.5 * RADIUS)
+    assert stepper.bond(bonds, 1) == made
+    assert stepper.batch.rows["skin"][0] == stepper.skin == 0.5 * RADIUS
+
+
 def test_a_hash_does_not_tell_whether_a_broken_pair_is_listed(start):
     """Lists of another skin hold it while it is apart, or have let go of it; nor later, when it touches again."""
     bonds, hashes = strong(tensile_strength=2000.0), []

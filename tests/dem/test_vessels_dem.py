@@ -257,6 +257,8 @@ def test_a_scene_has_a_name_by_method():
     assert scenes.by_method("lbox-dem", "mps") == "lbox" and scenes.by_method("pipe", "dem") == "pipe"
     with pytest.raises(SceneError, match=r"^method = 'dem': must be one of mps, suspension for scene 'tube'"):
         scenes.by_method("tube", "dem")
+    with pytest.raises(SceneError, match="the method of a flow is called 'mps'"):
+        scenes.by_method("part", "flow")
 
 
 def test_the_command_takes_a_method():

@@ -19,7 +19,7 @@ from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.measure.wear import PipePatches, WornWall, patches_of
 from warpcrete.dem.measure.wear_results import QUANTITIES, covered, plot_wear, report
-from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Wear
+from warpcrete.dem.scene.scene import Bodies, Scene, Settle, TimeStep, Wear
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 from warpcrete.record.rerun import RerunRecorder
@@ -137,6 +137,16 @@ def test_a_wall_that_speeds_up_is_worn_with_the_square_of_time(device):
     worn = Simulation(scene, device=device).run().series["floor_load_way"]
     assert worn[4] / worn[2] == pytest.approx(4.0, rel=5e-3)
     assert worn[-1] == pytest.approx(MASS * 9.81 * 0.5 * (50 - 3.5 * 0.05 * 9.81) * 0.02**2, rel=5e-3)
+
+
+def test_sums_over_time_begin_with_the_run_and_not_while_the_concrete_settles(device):
+    contact = Contact(effective_modulus=1e6, friction=0.1, normal_damping_ratio=0.5)
+    simulation = Simulation(sliding(contact, settle=Settle(duration=0.002)), device=device)
+    simulation.prepare()
+    walls, spheres = simulation.state.walls, simulation.state.spheres
+    sums = [walls.impulse, walls.angular_impulse, walls.travel, walls.work, spheres.dissipated_energy, spheres.broken]
+    assert simulation.state.time == 0 and simulation.state.steps == 0
+    assert not any(each.numpy().any() for each in (*sums, simulation.state.slots.worn))
 
 
 def thrown(**changes) -> Scene:

@@ -275,3 +275,14 @@ def test_the_pressure_of_a_bent_bore_is_that_of_bends(device, tmp_path):
     meshed = Simulation(scenes.part(wall=str(path), **FLOW), device=device).run().result
     known = Simulation(scenes.part(line=str(tmp_path / "s.yaml"), **given), device=device).run().result
     assert meshed["pressure"]["value"] == pytest.approx(known["pressure"]["value"], rel=0.01)
+
+
+@pytest.mark.parametrize("down", [False, True], ids=["up", "down"])
+def test_a_mesh_in_a_vertical_pipe_lies_as_behind_a_bend_from_a_level_one(down):
+    """The level pipe leads along x, and a mesh in it has its own directions."""
+    way = (0.0, 0.0, -1.0 if down else 1.0)
+    bend = Axis((0, 0, 0), (1, 0, 0), (Line(0.5), Arc(0.4, np.pi / 2, way), Line(0.5)))
+    assert mesh_parts.directions_at(bend, 0.2) == pytest.approx(np.eye(3), abs=1e-12)
+    vertical = mesh_parts.directions_at(Axis((0, 0, 0), way, (Line(1.0),)), 0.3)
+    assert vertical == pytest.approx(mesh_parts.directions_at(bend, bend.length - 0.1), abs=1e-12)
+    assert vertical == pytest.approx(np.array([way, [0, 1, 0], [way[2] * -1.0, 0, 0]]), abs=1e-12)

@@ -227,7 +227,7 @@ NARROWING, UP = {"reducer": {"to": "100 mm", "length": "1 m"}}, {"bend": {"to": 
 def test_five_metres_of_straight_pipe_must_follow_a_reducer_that_narrows(parts, run):
     """Nothing is asked for at the end of a line, where no bend follows, or behind a part that widens."""
     found = list(behind_reducers(line_of(LINE | {"parts": parts})))
-    assert [each.found.partition(" of straight pipe follow part 1")[0] for each in found] == ([run] if run else [])
+    assert [each.found.partition(" of straight pipe behind part 1")[0] for each in found] == ([run] if run else [])
 
 
 def test_the_commands_print_the_rules(tmp_path):

@@ -369,6 +369,7 @@ def test_a_size_number_in_the_name_of_a_part_is_the_size_of_the_stones(names, mo
         ("mix: {density: 2300, slump: 15 cm}", "line", "describes a concrete, not a line; give this file as --conc"),
         ("air: 2 %\nslump: 15 cm", "line", "line's key = 'air': describes a concrete, not a line"),
         ("slump: 15 cm\nparts: [straight: 5 m]", "line", "name this file as 'concrete', or use the option --slump"),
+        ("stone: 16 mm\nparts: [straight: 5 m]", "line", "is called 'largest_stone' in a line; write 'largest_stone"),
         ("diameter: 5 in\nparts: [straight: 5 ft]", "mix", "a file with a diameter describes a line; use it as 'warp"),
         ("density: 2300\nslump: 15 cm", "mix", "unknown key 'density'; it belongs to the section 'mix': write 'mix:'"),
     ],

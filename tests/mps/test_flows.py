@@ -19,7 +19,7 @@ from warpcrete.core.errors import CapacityError, ConvergenceError, PlausibilityW
 from warpcrete.core.run.files import read_json
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.simulation import ElementSimulation
-from warpcrete.mps.column import check_flow
+from warpcrete.mps.column import check_flow, flow_trading
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.quantities import RunData
 from warpcrete.mps.simulation import FluidSimulation
@@ -370,3 +370,15 @@ def test_the_gradient_is_the_friction_without_weight(scene):
     found = RunData(scene, {"time": np.array([0.0, 1.0]), "wall_stress": np.full(2, theory.wall_stress)}, theory)
     weight = scene.concrete.density * scene.gravity
     assert found.friction == pytest.approx(theory.pressure / scene.length - weight, rel=1e-6)
+
+
+def test_flows_on_which_a_trade_tries_its_settings_have_the_velocities_that_their_names_say():
+    given = {"diameter": 0.1, "length": 0.3, "flow": 1e-3}
+    variants = flow_trading(3).variants(scenes.tube.declared(given))
+    velocity = {name: own["flow"] / own["diameter"] ** 2 for name, own in
+                ((name, given | changes) for name, changes in variants.items()) if "concrete" not in name}  # fmt: skip
+    assert velocity == pytest.approx({
+        "a fifth of the flow": 0.02, "twice the flow": 0.2, "a pipe 1.5 times as wide": 0.1,
+        "that pipe at a fifth of the flow": 0.02,
+    })  # fmt: skip
+    assert variants["a pipe 1.5 times as wide"]["length"] == pytest.approx(0.45)

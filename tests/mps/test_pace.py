@@ -9,6 +9,7 @@ from test_free_flows import slump, vessel
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError
+from warpcrete.kernels.mps.grid.cells import DT
 from warpcrete.mps.free.forecast import course_of
 from warpcrete.mps.grid import flow as grid_flow
 from warpcrete.mps.grid.flow import GridFlow
@@ -70,6 +71,16 @@ def test_no_step_is_a_sliver():
         times.append(flow.time)
     assert flow.time == pytest.approx(begun + 2.1 * wanted, rel=1e-12)
     assert flow.steps >= 3 and np.diff(times).min() > 0.2 * wanted
+
+
+@pytest.mark.parametrize(("left", "steps"), [(0.5, 1), (1.0, 1), (1.1, 2), (1.9, 2), (2.1, 3), (3.9, 4), (4.1, 4.1)])
+def test_the_time_left_is_divided_into_steps_that_are_no_longer_than_wanted(left, steps):
+    """Only four wanted steps or more need no division yet."""
+    flow = flow_of(slump(lift_time=0.0), "cpu")
+    wanted = flow.next_step
+    flow.set_goal(flow.time + left * wanted)
+    flow.begin_goal()
+    assert flow.mesh.clock.numpy()[int(DT)] == pytest.approx(left * wanted / steps, rel=1e-9)
 
 
 def test_no_more_steps_are_launched_than_are_left():

@@ -234,3 +234,14 @@ def test_structure_that_cannot_rebuild_is_refused_in_one_line(bad, message):
     with pytest.raises(SceneError) as caught:
         scenes.tube(**bad)
     assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "ends"),
+    [
+        ({}, "piston"), ({"slip_viscosity": 1e6}, "periodic"), ({"rest": 60.0, "thixotropy": 0.1}, "periodic"),
+        ({"rebuild_rate": 0.5}, "periodic"), ({"step_error": 1e-4}, "periodic"), ({"aggregates": True}, "piston"),
+    ],
+)  # fmt: skip
+def test_flows_that_need_cells_of_a_grid_have_periodic_ends(given, ends):
+    assert scenes.channel(**given).ends == ends

@@ -140,6 +140,22 @@ def test_a_step_moves_and_turns_grains_relative_to_the_piston(device):
     assert clear > 5 and turned > 1e-6
 
 
+def test_a_grain_that_would_enter_the_piston_or_a_wall_is_moved_back(device):
+    """One grain begins where its lowest particle would be in the piston, and another one where a particle would be
+    beyond the wall."""
+    flow = two_phase_flow(device)
+    spacing, first, middle = flow.state.layout.spacing, flow.state.grains.first, flow.grains.middle.numpy().copy()
+    place = flow.particles.position.numpy()
+    lowest = np.minimum.reduceat(place[: first[-1], 1], first[:-1])
+    low, wide = (int(k) for k in np.argsort(lowest)[[0, -1]])
+    middle[low, 1] -= lowest[low]
+    middle[wide, 0] += 2 * flow.scene.radius
+    flow.grains.middle.assign(middle)
+    after = step(flow).particles.position.numpy()
+    assert after[first[low] : first[low + 1], 1].min() == pytest.approx(0.25 * spacing, rel=1e-9)
+    assert after[first[wide] : first[wide + 1], 0].max() == pytest.approx(flow.scene.radius - 0.25 * spacing, rel=1e-9)
+
+
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_nothing_is_free_under_a_hole_in_the_inside(device, dimensions):
     """However wide: fluid stands on its other side."""

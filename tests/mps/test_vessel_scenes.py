@@ -62,6 +62,10 @@ def test_a_mould_is_a_cone():
     assert cut.sum() > 30 and np.all((layout.opened.part == 0) | (layout.opened.part == 1))
     differ = layout.geometry.room != layout.opened.room
     assert differ.sum() > 50 and np.all(layout.opens[differ] < 3.1)
+    # The mould of 0.3 m is lifted in 3 s, and opens a row of cells when its rim is at their middles. The first row lies
+    # below the floor.
+    row = np.arange(layout.opens.shape[0])[:, None] + 0 * layout.opens
+    assert layout.opens[differ] == pytest.approx(np.maximum(row[differ] - 0.5, 0.0) * 0.01 / 0.1)
 
 
 def test_the_front_in_an_l_box_is_counted_from_the_gate(monkeypatch):

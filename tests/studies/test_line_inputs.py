@@ -107,3 +107,16 @@ def test_every_option_that_has_no_answer_without_a_flow_is_named(tmp_path):
     needing = "--rest and --pump-pressure and --pump-flow and --pump-power and --practice and --out"
     assert done.exit_code != 0 and done.output.strip().endswith(f"as in --flow '30 m3/h', or leave out {needing}")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("layer_factor", 1.5), ("rest", "5 min"), ("pump_pressure", "85 bar"), ("pump_flow", "60 m3/h"),
+        ("pump_power", "110 kW"), ("cells", 9),
+    ],
+)  # fmt: skip
+def test_options_of_theory_and_flow_are_refused_with_discrete_elements(option, value):
+    done = called("burj-khalifa", "--method", "dem", f"--{option.replace('_', '-')}", str(value))
+    assert done.exit_code != 0
+    assert f"{option} = {value}: has no effect with --method dem; use --method both" in done.output

@@ -1,6 +1,8 @@
 """A line of several parts as one flow: the bits of the unit that it is, what each part loses, refusals."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.one_pipe import joined, parameters_from_line
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance, part_room
-from warpcrete.mps.part.probes import losses
+from warpcrete.mps.part.probes import _slope, losses, straight_lines
 from warpcrete.mps.part.simulation import PartSimulation
 from warpcrete.scenes import modules
 from warpcrete.studies.lines.losses import read_line
@@ -242,3 +244,28 @@ def test_the_file_of_a_line_gives_whatever_is_not_given_beside_it(tmp_path):
                          ({"flow": 1.0, "concrete": "no1"}, {})):  # fmt: skip
         assert parameters_from_line({"line": str(path), **given}) == found
     assert parameters_from_line({"line": None}) == parameters_from_line({}) == {}
+
+
+def test_slopes_beside_cells_without_concrete_are_those_to_the_other_neighbour():
+    values = np.array([0.0, 1.0, 4.0, 9.0, 16.0, 25.0, 36.0])
+    known = np.array([True, True, True, True, False, True, False])
+    for shape, axis in (((7, 1), 0), ((1, 7), 1)):
+        slope = _slope(values.reshape(shape), known.reshape(shape), axis).ravel()
+        assert slope[known].tolist() == [1.0, 2.0, 4.0, 5.0, 0.0]
+
+
+def test_lines_are_fitted_to_pressures_a_radius_away_from_bends_and_ends():
+    """Pressures nearer than that are wrong by 500 Pa; the pipe narrows from a radius of 50 mm to one of 40 mm."""
+    scene: Any = SimpleNamespace(
+        middle=(1.0, 1.5), axis=SimpleNamespace(length=3.0), bore=lambda s: 0.05 if s < 1.2 else 0.04
+    )
+    s = np.arange(0.005, 3.0, 0.01)
+    near = (s < 0.05) | ((s > 0.95) & (s < 1.54)) | (s > 2.96)
+    pressure = np.where(s < 1.2, 6e3 - 2000 * s, 4.5e3 - 1500 * s) + 500.0 * near
+    upstream, downstream = straight_lines(scene, s, pressure)
+    assert upstream == pytest.approx([-2000, 6e3], rel=1e-9) and downstream == pytest.approx([-1500, 4.5e3], rel=1e-9)
+    scene.middle = (1.4, 1.4)  # A straight pipe is halved, and has no bend from which to keep away.
+    upstream, downstream = straight_lines(scene, s, 6e3 - 2000 * s + 500.0 * ((s < 0.05) | (s > 2.96)))
+    assert upstream == pytest.approx(downstream, rel=1e-9) and upstream == pytest.approx([-2000, 6e3], rel=1e-9)
+    short = straight_lines(scene, s[:7], pressure[:7])
+    assert np.isnan(short).all()

@@ -221,7 +221,7 @@ def test_a_wrong_prediction_does_not_squeeze_the_measurements():
         ("source: own", "source: mine", "case source = 'mine': must be one of own"),
         ("where: log 7", "basis: hearsay", "case basis = 'hearsay': must be one of measurement, model, guideline"),
         ("where: log 7", "were: log 7", "key of a case = 'were': must be one of id"),
-        ("[20 m3/h, 40 m3/h]", "[20 m3/h]", "case measured = 2: must have one value for each of the 1 flows"),
+        ("[20 m3/h, 40 m3/h]", "[20 m3/h]", "case measured = '2 values': must have one value for each of the 1 flows"),
         ("measured: [1 kPa/m, 2 kPa/m]", "measured: [1 kPa, 2 kPa]", "case measured = '1 kPa': must be a number"),
         ("id: yard", "ids: yard", "key of a case = 'ids'"),
         ("flow: [20 m3/h, 40 m3/h]", "note: none", "case flow = None: must be given for a case of kind 'pipe'"),

@@ -219,6 +219,8 @@ def test_particles_of_a_periodic_grid_stay_in_their_cells(device):
     x = flow.particles.position.numpy()
     low, length = flow.state.layout.room.origin[2], 16 * flow.state.layout.spacing
     assert low <= x[:, 2].min() and x[:, 2].max() < low + length
+    middle = flow.aggregates.bodies.centre.numpy()[:, 2]
+    assert low <= middle.min() < low + 0.3 * length and low + 0.7 * length < middle.max() < low + length
 
 
 @pytest.mark.parametrize("tilt, seed", [(0.1, 1), (0.2, 0), (0.33, 3)])

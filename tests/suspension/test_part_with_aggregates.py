@@ -173,6 +173,13 @@ def test_aggregates_weigh_only_in_the_mortar(device):
         volume = 4 / 3 * np.pi * flow.aggregates.radius**3
         inside = found.free & (found.place < scene.axis.length - found.radius)
         assert force[inside] == pytest.approx((density - 2200) * volume[inside, None] * [0, 0, -9.81], abs=1e-4)
+        # A sphere whose centre lay `depth` before the plane of the outlet, until it moved, had the volume of a cap in
+        # the pipe.
+        depth = scene.axis.length - found.place + step_lengths(flow.aggregates.bodies, scene)
+        size = found.radius
+        leaving = found.free & (np.abs(depth) < 0.9 * size)
+        cap = (np.pi / 3 * (size + depth) ** 2 * (2 * size - depth))[leaving]
+        assert leaving.any() and force[leaving, 2] == pytest.approx((2200 - density) * 9.81 * cap, abs=1e-4)
         rows.append(simulation.measured())
         assert scene.density == pytest.approx(2200 + 0.15 * (density - 2200))
     # The second step is the first one without much inertia. The pressures differ by the weight of 15 % of aggregates

@@ -1,9 +1,11 @@
 """Random places of spheres without overlaps."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from warpcrete.suspension.placing import CLEARANCE, close_pairs, random_places
+from warpcrete.suspension.placing import CLEARANCE, _radii, close_pairs, random_places
 
 RADIUS = 0.01
 
@@ -52,6 +54,14 @@ def test_spheres_keep_their_gaps_to_each_other_and_to_walls(fraction, across, sp
 def test_a_thousand_spheres_reach_half_of_the_volume():
     centres, radii = places(0.5, 10)
     assert len(radii) > 900 and gaps(centres, radii, 20 * RADIUS).min() > CLEARANCE * (1 - 1e-9)
+
+
+@pytest.mark.parametrize(("wanted", "placed"), [(10.4, 10), (10.6, 11), (0.95, 1), (1.08, 1)])
+def test_the_number_of_aggregates_is_rounded_to_the_nearest(wanted, placed):
+    """The concrete has the volume of 100 aggregates."""
+    scene = SimpleNamespace(simulated_fraction=0.01 * wanted, sieve=None, diameters=(2 * RADIUS, 2 * RADIUS))
+    radii = _radii(scene, 100 * 4 / 3 * np.pi * RADIUS**3, np.random.default_rng(0))
+    assert radii.tolist() == [RADIUS] * placed
 
 
 def test_places_depend_on_the_seed_only():

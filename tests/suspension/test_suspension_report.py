@@ -13,7 +13,7 @@ from warpcrete.mps.free.quantities import expected
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.suspension import quantities
 from warpcrete.suspension.part.quantities import SuspensionData
-from warpcrete.suspension.stretch.quantities import RunData
+from warpcrete.suspension.stretch.quantities import QUANTITIES, RunData
 from warpcrete.theory.suspension import concrete_of_mortar
 
 
@@ -58,3 +58,19 @@ def test_closed_forms_of_a_slump_are_those_of_the_whole_concrete():
 def fields_of(scene):
     """Return the values of the fields that a scene without aggregates has."""
     return {each.name: getattr(scene, each.name) for each in dataclasses.fields(FreeScene) if each.init}
+
+
+def test_the_pressure_over_a_stretch_contains_the_weight_of_the_placed_aggregates():
+    """A quarter of aggregates of 2600 kg/m3 were placed in mortar of 2200 kg/m3, instead of the wanted fifth."""
+    scene: Any = SimpleNamespace(
+        mean_velocity=0.5, radius=0.04, ways=2, length=0.2, gravity=9.81, gradient=2000.0, density=2280.0,
+        density_with=lambda fraction: 2200 + 400 * fraction,
+    )  # fmt: skip
+    known = RunData(scene, {"time": np.arange(4.0), "gradient": np.array([0.0, 0.0, 1400.0, 1600.0])}, 0.25)
+    found = {each.name: each.of for each in QUANTITIES}
+    weight = 0.2 * 2300 * 9.81
+    assert found["pressure"](known) == pytest.approx(0.2 * 1500 + weight, rel=1e-12)
+    assert found["pressure_theory"](known) == pytest.approx(0.2 * 2000 + weight, rel=1e-12)
+    assert found["wall_stress_theory"](known) == pytest.approx(0.04 / 2 * 1500, rel=1e-12)
+    scene.mean_velocity = None  # A given pressure gradient has no pressure to find.
+    assert found["pressure"](known) is None and found["pressure_theory"](known) is None

@@ -150,8 +150,9 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
 def _flow(settings: Mapping[str, Any], line: PipeLine, guessed: bool) -> float | None:
     """Return the volume flow [m3/s] that the option `--flow` states, or that the file of the line states.
 
-    Without a flow, return None if the slip layer is fitted to measured pressures, or if the user stated only the slump
-    or spread of the concrete (`guessed`). Raises `click.UsageError` in all other cases.
+    A flow may be missing if the slip layer is fitted to measured pressures, or if the user stated only the slump or
+    spread of the concrete (`guessed`). The result is then None. In all other cases, a missing flow raises
+    `click.UsageError`.
     """
     rate = _amount("flow", settings, "m3/s")
     if rate is None:

@@ -117,6 +117,7 @@ def run(
                     f"resume = '{folder}': Ctrl-C ended the command before the run continued; no results were lost, so "
                     "repeat the command"
                 ) from None
+            click.echo("the run was interrupted before it began, so nothing is saved; repeat the command", err=True)
             raise
         with StopAtSample([simulation]):
             done = simulation.run()

@@ -149,7 +149,7 @@ def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
         settings[name] = values is not None
     settings |= single(options, SETTINGS)
     if settings.get("processes", 1) < 1:
-        raise click.UsageError("--processes: must be 1 or more")
+        raise click.UsageError(f"--processes = {settings['processes']}: must be 1 or more")
     if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
         raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
     return settings
@@ -265,10 +265,10 @@ def parameter_values(
 def converted(name: str, word: str, kind: Any) -> Any:
     if kind is bool:
         if word.lower() not in ("true", "false", "yes", "no", "1", "0"):
-            raise click.UsageError(f"--{name} {word!r}: must be true or false")
+            raise click.UsageError(f"--{name} = {word!r}: must be true or false")
         return word.lower() in ("true", "yes", "1")
     try:
         return kind(word) if kind in (int, float, Path) else word
     except ValueError:
         words = {float: "a number", int: "a whole number"}.get(kind, kind.__name__)
-        raise click.UsageError(f"--{name} {word!r}: must be {words}") from None
+        raise click.UsageError(f"--{name} = {word!r}: must be {words}") from None

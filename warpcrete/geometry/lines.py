@@ -81,6 +81,8 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
                 if "parts" in given:
                     hint = "move it to a file of its own, and name this file as 'concrete', or use the option --slump"
                 refuse("line's key", key, "describes a concrete, not a line", hint)
+            if key == "stone":
+                refuse("line's key", key, "is called 'largest_stone' in a line", "write 'largest_stone: 20 mm'")
             one_of("line's key", key, KEYS)
     entries = given.get("parts")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:

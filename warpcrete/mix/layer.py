@@ -138,7 +138,7 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
     error = ASSUMED_ERROR_FACTOR * blur
     yield _pair(
         thick * value, (thick * value / error, thick * value * error), (stress, 0.0, 5 * stress), concrete, ASSUMPTION,
-        f"uncertain by a factor of {error:.3g}: state the parts of the mix, or measure it",
+        f"uncertain by a factor of {error:.3g}: state the parts of the mix, or measure the layer",
     )  # fmt: skip
 
 
@@ -162,7 +162,10 @@ def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
         yield _fitted(straight_line(speeds, stresses), len(speeds), f"{len(speeds)} points of a tribometer", False)
 
 
-_SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs from pipes by 0.3 to 2 (Tavangar 2022)"}
+_SOURCES = {
+    True: "; 30 % for differences between deliveries",
+    False: "; values from pipes are 0.3 to 2 times those from tribometers (Tavangar 2022)",
+}
 """Explanations of the uncertainty band of a measured slip layer whose measurement states no uncertainty, for a layer
 fitted to pipe pressures (key True) and one measured with a tribometer (key False)."""
 

@@ -210,7 +210,7 @@ class Mix:
             found.append((name, f"{value:g}" if isinstance(value, float) else value,
                           "m" if name.startswith("size_") else "mm:passing" if name == "sizes" else "", "",
                           "shape" if name == "shapes" else "sieve" if given.sieve else "sizes",
-                          "as simulated with elements"))  # fmt: skip
+                          "as simulated with discrete elements"))  # fmt: skip
         return [dict(zip(COLUMNS, row, strict=True)) for row in found]
 
     def table(self) -> Any:

@@ -82,14 +82,14 @@ def yield_stresses(given: MixEntries) -> Iterator[Figure]:
         yield Figure("yield stress", yield_of_heap(at[1], given.density), yield_of_heap(at[0], given.density),
                      yield_of_long_heap(at[2], given.density), "Pa",
                      f"spread of {both(given.customary, 'mm', given.spread)}",
-                     "heap that resists its stretch; upper limit Roussel & Coussot 2005", "cone")  # fmt: skip
+                     "heap with its resistance to stretching; upper limit Roussel & Coussot 2005", "cone")  # fmt: skip
     if given.slump is not None:
         flat = min(given.slump + HEAP_CENTRE + READ_SLUMP, FLATTEST)
         yield Figure("yield stress", yield_of_slump(given.slump, given.density), yield_of_slump(flat, given.density),
                      yield_of_slump_measured(given.slump - READ_SLUMP, given.density),
                      "Pa", f"slump of {both(given.customary, 'mm', given.slump)}",
-                     "tall cone (Murata 1984, von Mises), lower limit with the centre 100 mm too high (Yeh 2007); "
-                     "upper limit Ferraris & de Larrard 1998", "cone")  # fmt: skip
+                     "tall cone (Murata 1984, von Mises), lower limit for a heap that is 100 mm too high in its centre "
+                     "(Yeh 2007); upper limit Ferraris & de Larrard 1998", "cone")  # fmt: skip
 
 
 def viscosities(given: MixEntries) -> Iterator[Figure]:
@@ -127,7 +127,7 @@ def unknown_viscosity(given: MixEntries) -> Figure:
     value = thick * paste_layer(given.paste_solids) * FILM * aggregate_factor(aggregate)
     return Figure("viscosity", value, value / FILM_ERROR_FACTOR, value * FILM_ERROR_FACTOR, "Pa s",
                   f"{ESTIMATE} {100 * given.paste_solids:.3g} % of powder in the paste",
-                  "paste of the slip layer, thickened by sand and stones")  # fmt: skip
+                  "viscosity of the paste, raised by sand and stones")  # fmt: skip
 
 
 def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:

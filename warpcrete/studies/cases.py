@@ -49,7 +49,8 @@ def cases_of(
         if not values or len(set(map(repr, values))) < len(values):
             refuse(name, values, "must be one or more values that are all different", "leave out repeated values")
     if repeat > 1 and not seeded:
-        refuse("repeat", repeat, "must be 1, because nothing in this scene depends on a seed")
+        problem = "must be 1, because nothing in this scene depends on a seed"
+        refuse("repeat", repeat, problem, "leave out 'repeat'")
     if "seed" in varied and repeat > 1:
         refuse("repeat", repeat, "cannot be combined with a list of seeds", "leave out 'repeat' or 'seed'")
     count = repeat * (sum if one_at_a_time and varied else math.prod)(map(len, varied.values()))

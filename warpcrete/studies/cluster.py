@@ -375,7 +375,7 @@ def _run_part(
 ) -> list[Any]:
     """Run cases of a study on a worker, and return the outcomes of all `cases` in their order.
 
-    Cases that have an outcome in their folder, from this worker or from one that was lost, are not run again.
+    A case whose folder already contains an outcome, for example from a worker that was lost, is not run again.
     """
     found = {case.name: previous_outcome(folder / case.name) for case in cases}
     left = [case for case in cases if found[case.name] is None]

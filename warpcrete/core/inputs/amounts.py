@@ -274,6 +274,8 @@ def _advice(text: str, unit: str) -> str:
     other, conversion = OTHER_QUANTITIES.get(unit, ("", ""))
     if other and is_amount(text, other):
         return conversion
+    if text.endswith((",", ";")):
+        return f"leave out the {'comma' if text.endswith(',') else 'semicolon'} at the end"
     if re.match(r"[-+]?[0-9]+[.,][0-9]+[.,]", text):
         return "leave out separators of thousands"
     if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):

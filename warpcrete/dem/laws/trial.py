@@ -234,7 +234,7 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             f"{name}.force()",
             f"a pull of {-push.min():.3g} N at an overlap of {depth[push.argmin()]:.3g} m",
             "must push overlapping stones apart; the normal points from body a to body b, and the force acts on body a",
-            "return the opposite sign, or make the spring stiffer than the pull",
+            "return the opposite sign, or make the spring stiffer or the pull weaker or shorter",
         )
     zero, most = np.abs(found.energy[:, 0]).max(), np.abs(found.energy).max()
     if zero > ROUNDING * most:

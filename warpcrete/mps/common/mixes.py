@@ -65,8 +65,8 @@ class ConcreteParameters:
     concrete: ConcreteName = "no1"
     density: Annotated[
         float | None,
-        "Density of the concrete [kg/m3]. The density and the next eight parameters replace the constants of the "
-        "named concrete",
+        "Density of the concrete [kg/m3]. The density and the other constants of concrete and slip layer, if given, "
+        "replace those of the named concrete",
         Above(),
     ] = None
     viscosity: Annotated[

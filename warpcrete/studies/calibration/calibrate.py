@@ -59,7 +59,7 @@ def calibrate(
     """
     asked = Path(targets) if isinstance(targets, str) else targets
     if not isinstance(asked, Path | Mapping):
-        refuse("targets", targets, "must be the path of a YAML file, or a mapping")
+        refuse("targets", targets, "must be the path of a YAML file, or a mapping", "for example 'targets.yaml'")
     return run_calibration(asked, modules(), out=output_folder(out, "calibration"), **settings)
 
 

@@ -335,7 +335,8 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
         refuse("quantity", target.quantity, f"is not measured in {target.scene}", known_names(target.quantity, known))
     unit = known[target.quantity].unit
     if unit in ("m", "s") and target.value < 0:
-        refuse(f"{target.quantity} of {target.scene}", target.value, f"must be at least 0 {unit}")
+        problem = f"must be at least 0 {unit}"
+        refuse(f"{target.quantity} of {target.scene}", target.value, problem, "check the sign of the value")
     check_limit(f"{target.quantity} of {target.scene}", target.value, unit, target.quantity)
     return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
                   target.held_out, unit)  # fmt: skip

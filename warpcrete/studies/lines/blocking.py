@@ -70,7 +70,7 @@ class BlockingProbability:
     coarse: float
     """Factor by which the stones were enlarged for the simulation; 1 if they kept their size."""
     friction: float
-    """Coefficient of friction between the stones in the simulation."""
+    """Friction coefficient between the stones in the simulation; NaN if the concrete has a contact law of its own."""
 
     @property
     def probability(self) -> float:
@@ -100,13 +100,14 @@ class BlockingProbability:
         ratio = self.stone / self.part.narrow
         us = bool(self.part.customary_label)
         state = "was blocked in" if self.blocked else "not blocked:"
+        friction = "" if math.isnan(self.friction) else f", with a friction of {self.friction:g} between them"
         found = [
             f"blocking by simulation: part {self.part.number}, {self.part.label}, {state} {self.blocked} of "
             f"{self.runs} runs: probability {100 * self.probability:.3g} %, 95 % interval {100 * low:.2g} to "
             f"{100 * high:.2g} % (Wilson 1927)",
             f"{self.stones} stones up to {both(us, 'mm', self.stone, digits=3)} in a bore of "
-            f"{both(us, 'mm', self.part.narrow)}, a ratio of {ratio:.2g}, with a friction of {self.friction:g} between "
-            "them; the simulation shows arches of stones, but neither bleeding nor faults of priming",
+            f"{both(us, 'mm', self.part.narrow)}, a ratio of {ratio:.2g}{friction}; the simulation shows arches of "
+            "stones, but neither bleeding nor faults of priming",
         ]
         if self.coarse > 1:
             found.append(f"stones are enlarged {self.coarse:g} times, which makes blocking likelier")
@@ -181,7 +182,7 @@ def _counted(study: Study, part: Part, elements: Elements) -> BlockingProbabilit
     if not results:
         first = next(iter(study.failures.values()), "")
         problem = f"gives no result, because no run finished; the first run failed with: {first}"
-        refuse("blocking", len(study.cases), problem)
+        refuse("blocking", len(study.cases), problem, "correct the cause, and use a new folder")
     blocked = [bool(number(result["blocked"])) for result in results]
     given = modules()[SCENE].scene(**study.cases[0].parameters)
     return BlockingProbability(

@@ -117,9 +117,8 @@ class LinePressures:
         uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
         friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
         calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
-        changed together. The friction of a simulated part was found with one concrete only. For changed constants, this
-        friction is multiplied by the closed form's friction with the changed constants, and divided by the closed
-        form's friction with the original constants.
+        changed together. The friction of a simulated part is known for one concrete only; for changed constants, it is
+        scaled in the same ratio as the closed form.
         """
         return self._bands
 

@@ -68,7 +68,8 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
         if "part" in values:
             field, last = f"{path.name}, line {row}: part", len(line.parts)
             if values["part"] != int(values["part"]) or not 1 <= values["part"] <= last:
-                refuse(field, values["part"], f"must be the number of a part, 1 to {last}")
+                problem = f"must be the number of a part, 1 to {last}"
+                refuse(field, values["part"], problem, "count the parts of the line from the pump")
             values["place"] = float(starts[int(values["part"]) - 1])
         field = f"{path.name}, line {row}: place"
         hint = "'place' is the distance from the pump along the line, and must lie before the open end"

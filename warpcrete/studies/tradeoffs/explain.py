@@ -75,9 +75,9 @@ def explain(
 
     `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
     measured errors are listed with the savings in time. By default, these errors come from the most similar record that
-    is shipped with the package. With `cache`, results are kept in the user's cache folder. `announce` is called with a
-    sentence before measurements, which may take minutes if kernels must be compiled first. Raises the same errors as a
-    run of the scene before its first step.
+    is shipped with the package. With `cache`, results are kept in the user's cache folder. The measurements may take
+    minutes if kernels must be compiled first; before them, `announce` is called with a sentence that says so. Raises
+    the same errors as a run of the scene before its first step.
     """
     method = method_of(scene)
     found = find_device(device)

@@ -80,7 +80,7 @@ def prediction_bound(shifts: Sequence[float]) -> float:
     """Return the bound that the next error does not exceed with 95 % probability, for normally distributed errors.
 
     The bound is |mean| + t s sqrt(1 + 1/n), from the prediction interval of n errors. Here s is their standard
-    deviation and t the 95 % quantile of Student's distribution. A single error is its own bound.
+    deviation and t the two-sided 95 % quantile of Student's distribution. The bound of a single error is its magnitude.
     """
     values = np.asarray(shifts, float)
     if len(values) < 2:

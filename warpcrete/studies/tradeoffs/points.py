@@ -108,8 +108,8 @@ class Promise:
     found: Error | None = None
     """Error in runs with new random seeds; None if the scene has no seeds or the time ran out."""
     carried: dict[str, Error | None] = field(default_factory=dict)
-    """Largest error in each variant of the scene, which is the scene with some parameters changed; None if the run of
-    the variant failed. The keys are descriptions of the variants. If plausibility checks failed in a variant, its key
+    """Largest error in each variant of the scene, by the description of the variant; None if the run of the variant
+    failed. A variant is the scene with some parameters changed. If a run failed plausibility checks, the description
     lists them."""
     bound: float = math.inf
     """Promised upper bound of the relative error of all result quantities, as a fraction; infinite if no setting is

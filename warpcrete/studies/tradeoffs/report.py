@@ -192,8 +192,9 @@ NEAR = 0.07  # Smallest vertical distance of two labels, as a fraction of the pl
 def draw(trade: Trade) -> Any:
     """Return a Matplotlib figure of error against wall time for all measured settings, with the Pareto front.
 
-    A setting is a choice of values for all parameters that trade accuracy for run time, and it is drawn as a point. A
-    band shows the scatter between seeds. Settings with a failed check have hollow markers.
+    A setting is a choice of values for all parameters that trade accuracy for run time, and it is drawn as a point.
+    Settings with a failed check have hollow markers. A grey band shows the scatter of the reference setting between
+    seeds.
     """
     from matplotlib.ticker import LogLocator, NullFormatter
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.device.device import default_threads, find_device
-from ...core.errors import RunFolderError, at_least, between, callback, positive, refuse, whole
+from ...core.errors import RunFolderError, at_least, between, callback, positive, refuse, suggested, whole
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.hyphens import spelled
 from ...core.inputs.limits import check_limit
@@ -101,7 +101,7 @@ def run_trade(
     chosen = list(quantities or trading.quantities)
     for name in chosen:
         if name not in known:
-            refuse("quantity", name, f"must be one of {', '.join(known)}")
+            refuse("quantity", name, f"must be one of {', '.join(known)}", suggested(name, known))
         if trading.closed_form(given) and f"{name}_error" not in known:
             problem = "has no exact solution for comparison"
             refuse("quantity", name, problem, f"use {' or '.join(n for n in known if f'{n}_error' in known)}")
@@ -109,7 +109,7 @@ def run_trade(
     knobs = [spelled(name, all_knobs) for name in knobs or ()]
     for name in knobs:
         if name not in all_knobs:
-            refuse("knob", name, f"must be one of {', '.join(all_knobs)}")
+            refuse("knob", name, f"must be one of {', '.join(all_knobs)}", suggested(name, all_knobs))
     seeded = is_random(scene)
     if repeat is not None:
         whole("repeat", repeat, 1, MAX_CASES)
@@ -247,7 +247,8 @@ def _measure(trade: Trade, tell: Tell) -> None:
 def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     if not trade.run(given, trade.seeds[:1], tell):
         if given.failure:
-            refuse("scene", trade.scene_name, f"fails with the given parameters: {given.failure}")
+            problem = f"fails with the given parameters: {given.failure}"
+            refuse("scene", trade.scene_name, problem, "change the parameters, and start a new trade")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
     # Refuse a short budget only if this call has made a run (`spent` is above 0). Otherwise, the study is resumed, and

@@ -134,7 +134,7 @@ def read_cases(path: Path) -> list[Case]:
 
 def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], folder: Path) -> Case:
     if not isinstance(given, Mapping):
-        refuse("case", given, "must consist of 'key: value' lines")
+        refuse("case", given, "must consist of 'key: value' lines", "begin with 'id: ...'")
     for key in given:
         one_of("key of a case", key, KEYS)
     for key in ("id", "kind", "source", "measured"):
@@ -153,7 +153,8 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
         for value in measured:
             positive("case measured", value, unit)
     if flows and len(flows) != len(measured):
-        refuse("case measured", len(measured), f"must have one value for each of the {len(flows)} flows")
+        problem = f"must have one value for each of the {len(flows)} flows"
+        refuse("case measured", f"{len(measured)} values", problem, "list the values in the order of the flows")
     concretes, ends = _scatter(_mapping(given, "scatter"), unit)
     usable = len(measured) == 1 and given["kind"] not in ("line", BLOCKING)
     if ends is not None and not (usable and ends[0] <= measured[0] <= ends[1]):
@@ -191,10 +192,12 @@ def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, flo
             )
     concretes = given["concretes"]
     if not isinstance(concretes, int) or concretes < 2:
-        refuse("case scatter: concretes", concretes, "must be a whole number of at least 2")
+        problem = "must be a whole number of at least 2"
+        refuse("case scatter: concretes", concretes, problem, "leave out 'scatter' for a single concrete")
     low, high = (amount(f"case scatter: {key}", given[key], unit) for key in ("from", "to"))
     if not 0 < low < high:
-        refuse("case scatter", dict(given), "must reach from a positive value to a larger one")
+        problem = "must reach from a positive value to a larger one"
+        refuse("case scatter", dict(given), problem, "write the smallest value under 'from'")
     return concretes, (low, high)
 
 
