@@ -61,7 +61,7 @@ def test_means_over_aggregates_weight_them_by_volume(device):
 
 
 def test_a_fraction_of_less_than_an_aggregate_is_noticed():
-    with pytest.warns(PlausibilityWarning, match=r"aggregate_fraction = 1e-06: whole .*, 1 of them, have .* 0\.0139$"):
+    with pytest.warns(PlausibilityWarning, match=r"aggregate_fraction = 1e-06: only whole .*, and 1 of .* 0\.0139$"):
         begun("cpu", aggregate_fraction=1e-6)
 
 
