@@ -148,8 +148,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
 
     - Full list (GPU): a group of `lanes` threads shares the list of a sphere. Each thread adds every `lanes`-th pair
       that touches or is bonded.
-    - Half list (CPU): a thread adds each listed pair to sphere i, and also to the other sphere if that sphere belongs
-      to the same thread.
+    - Half list (CPU): a pair of spheres of one thread is listed once, and the thread adds it to both spheres. A pair
+      of spheres of two threads is listed twice, once at each sphere, and each thread adds it to its own sphere only.
 
     With `subcycling`, the sums contain only pairs with stiff bonds (`stiff` true), or only the others. Listed pairs
     that neither touch nor are bonded add nothing. The sums therefore do not depend on the time of the last list

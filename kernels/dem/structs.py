@@ -17,18 +17,18 @@ import warp as wp
 from ..common.types import types
 from ..common.walls import wall_struct
 
-# The next constants are columns of the double-precision array `clock`, which has one row per scene.
-TIME: int = wp.constant(0)  # column with the simulated time [s]
-DT: int = wp.constant(1)  # column with the coming time step [s]
+# The next constants are column indices of the double-precision array `clock`, which has one row per scene.
+TIME: int = wp.constant(0)  # column index of the simulated time [s]
+DT: int = wp.constant(1)  # column index of the coming time step [s]
 
-# DT_PREVIOUS is the column with the previous time step [s]. It is 0 at the start, so that the first velocity kick has
-# half the length.
+# DT_PREVIOUS is the column index of the previous time step [s]. It is 0 at the start, so that the first velocity kick
+# has half the length.
 DT_PREVIOUS: int = wp.constant(2)
-SINCE_BUILD: int = wp.constant(3)  # column with the time since the neighbour lists were built [s]
+SINCE_BUILD: int = wp.constant(3)  # column index of the time since the neighbour lists were built [s]
 
-# FORCE_SCALE is the column with the number of integer units per newton in the fixed-point sums of wall forces [1/N].
+# FORCE_SCALE is the column index of the number of integer units per newton in fixed-point sums of wall forces [1/N].
 FORCE_SCALE: int = wp.constant(4)
-STABLE: int = wp.constant(5)  # column with the latest estimate of the stable step, without safety factor [s]
+STABLE: int = wp.constant(5)  # column index of the latest estimate of the stable step, without safety factor [s]
 
 # Number of columns of the array `clock`, whose rows belong to scenes.
 CLOCK = 8

@@ -14,7 +14,7 @@ apart."""
 
 @functools.cache
 def shift_kernel(scalar, dimensions: int, serial: bool):
-    """Build the kernel that computes those displacements of particles that do not result from their velocities.
+    """Build the kernel that computes the displacement of each particle in addition to its velocity times the step.
 
     These displacements move particles out of crowded regions, down the gradient of a potential, and push close pairs
     apart. They change no velocities.

@@ -138,7 +138,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
         # Potential whose negative gradient moves particles out of crowded regions [m2], shape (n,).
         potential: wp.array(dtype=scalar)
-        # Displacement of each particle in this step that its velocity does not cause [m], shape (n,).
+        # Displacement of each particle in this step in addition to velocity times step [m], shape (n,). It moves the
+        # particle out of a crowded region, down the gradient of `potential`, and away from particles too close to it.
         extra_displacement: wp.array(dtype=t.vec)
         # Position of each particle when the neighbour lists were built [m], shape (n,).
         position_at_build: wp.array(dtype=t.vec)

@@ -27,7 +27,11 @@ CAPACITY = wp.constant(48)
 WALL = wp.constant(-1)
 """Value that is stored instead of a neighbour's index if the neighbour is a wall."""
 NEW = wp.constant(2)
-"""Value of `touching` for a contact that the last coupled solve has found; older contacts have the value 1."""
+"""Value of `touching` for a pair that touches, but has no contact force in the solution yet.
+
+The latest check of a solution has found that the pair would overlap at the end of this time step. The solve is then
+repeated with the contact force of the pair, if fewer than the maximum number of repetitions were made. The next check
+changes the value to 1."""
 HOLD = wp.constant(300.0)
 """Resistance of a contact to approach, divided by the resistance of the aggregate to motion by drag and inertia.
 
@@ -61,8 +65,8 @@ def pair_struct(scalar):
         lubrication: wp.array(dtype=scalar)
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
 
-        # 1 if sphere and neighbour touch in this step, NEW if the last coupled solve has found this contact,
-        # otherwise 0.
+        # 0 if sphere and neighbour do not touch in this step; 1 if they touch; NEW if they touch, but the solution does
+        # not contain their contact force yet, because the latest check of the solution has found the contact.
         touching: wp.array(dtype=wp.int32)
         # The next arrays are empty without friction.
         grip: wp.array(dtype=scalar)  # Friction force per speed at which the surfaces slide [N s/m].

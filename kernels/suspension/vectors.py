@@ -12,13 +12,12 @@ from ..common.reductions import BLOCK, keep, total
 from ..common.types import types
 from ..mps.coarse import lanes
 
-# Indices into the array of inner products in a solve by conjugate gradients.
-RZ = wp.constant(0)  # Index of the inner product of residual and preconditioned residual.
-PQ = wp.constant(1)  # Index of the inner product of the search direction p and the product A p, with the matrix A.
-RZ_AFTER = wp.constant(2)  # Index of the inner product of residual and preconditioned residual after the iteration.
-
-# Index of the inner product of residual and preconditioned residual at the start of the solve.
-RZ_FIRST = wp.constant(3)
+# The next constants are indices into `sums`, the array of inner products of a solve by conjugate gradients. The vectors
+# are the residual r, the preconditioned residual z and the search direction p; A is the matrix.
+RZ = wp.constant(0)  # Entry of `sums`: r z before the iteration.
+PQ = wp.constant(1)  # Entry of `sums`: p A p.
+RZ_AFTER = wp.constant(2)  # Entry of `sums`: r z after the iteration.
+RZ_FIRST = wp.constant(3)  # Entry of `sums`: r z at the start of the solve.
 SUMS = 4
 
 

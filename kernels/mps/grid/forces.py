@@ -1,8 +1,8 @@
 """Viscous forces, pressure and weight on the faces of a grid, and the matrix of the implicit solve for velocities.
 
-The viscous forces result from stretch in cells and shear at edges. They are derivatives of a single dissipation
-function, for any distribution of the viscosity in space. The matrix is therefore symmetric, and every force on a face
-has an opposite force on neighbouring faces.
+The viscous forces result from normal strain rates (stretch) in cells and shear rates at edges. They are derivatives of
+a single dissipation function, for any distribution of the viscosity in space. The matrix is therefore symmetric, and
+every force on a face has an opposite force on neighbouring faces.
 """
 
 import functools
@@ -298,8 +298,8 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
                             diagonal += grows
                             other = coupled
                         if b == axis:
-                            # A face has a cell on either side along its own axis. Add the force due to the stretch of
-                            # the cell on this `side`.
+                            # Along its own axis, a face lies between two cells. Add the force on the face due to the
+                            # viscous normal stress in the cell on this `side`, 2 mu times its normal strain rate.
                             along = g.width[axis]
                             cell = f.moved(c, axis, side - 1)
                             o = f.at(g, cell)

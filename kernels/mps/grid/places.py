@@ -207,9 +207,9 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def stretch(g: Grid, mesh: Fields, c: whole) -> vec3:
-        """Return the stretch rates of a cell along its axes [1/s].
+        """Return the normal strain rates of a cell along its axes [1/s].
 
-        With an axis of symmetry the third component is the stretch rate in the circumferential direction.
+        With an axis of symmetry the third component is the strain rate in the circumferential direction.
         """
         rates = vec3()
         here = at(g, c)
