@@ -42,7 +42,11 @@ class InnerSurface:
 
     The mesh of a real pipe has more surfaces than the inner wall: an outer skin, rims and lids. A facet belongs to the
     inner wall if nothing lies between the facet and the nearest point of the axis, and if the facet is not part of a
-    lid. Measurements beyond `begin` and `end` use the last cross-section there, so the mesh may end at these places.
+    lid.
+
+    The mesh must enclose the axis within `span`, up to a small tolerance at its ends. The attributes `begin` and `end`
+    limit the arc lengths within which the mesh does enclose the axis. Measurements at arc lengths outside of this
+    range, or outside of `span`, use the last cross-section inside both.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
@@ -51,7 +55,7 @@ class InnerSurface:
         radius: Approximate radius of the bore [m].
         field: Name of the field that error messages show.
         name: Value of that field in error messages.
-        span: Arc lengths between which the mesh must enclose the axis [m]; the whole axis if None.
+        span: Arc lengths [m] between which the mesh must enclose the axis; None stands for the whole axis.
 
     Raises:
         SceneError: The mesh has gaps around the axis, ends before the axis does, or a surface crosses the axis.

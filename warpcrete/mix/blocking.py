@@ -380,5 +380,8 @@ def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
 
 
 def rule_records(verdicts: Sequence[RuleVerdict]) -> dict[str, Any]:
-    """Return the worst verdict and all verdicts as a mapping that can be written to a JSON file."""
+    """Return the verdicts of rules of practice on whether a line will block, as a mapping for a JSON file.
+
+    The entry "rules" contains the verdict of each rule, and "worst" the worst of these verdicts, such as "risky".
+    """
     return {"worst": worst(verdicts), "rules": [each.record() for each in verdicts]}

@@ -97,9 +97,10 @@ class Mix:
 
     @property
     def _constants(self) -> dict[str, str]:
-        """Names of the constants of the flow, each mapped to the name of the property from which it follows.
+        """Names of the constants of the concrete's flow law, each mapped to the name of the property of the mix.
 
-        Constants of other laws than Bingham's are included only if the mix states them.
+        An example is "slip_yield", mapped to "slip yield". Constants that only flow laws other than Bingham's have,
+        such as "flow_index", are included only if the mix states them.
         """
         known = {figure.name for figure in self.figures}
         return FLOW | {key: name for key, name in LAWS.items() if name in known}

@@ -151,8 +151,8 @@ class Cluster:
         module of its scene and its folder. `jobs` yields pairs of a tag, which identifies the job for the caller, and
         the job itself. When a job has ended, `store_outcome` is called with the tag and the result or exception. With
         `lazily`, the next job is read from `jobs` only when a worker is free. `gap` tells whether the user has pressed
-        Ctrl-C. In that case, waiting jobs are cancelled, and the callback `stop_requested` returns True, so that
-        running jobs end early.
+        Ctrl-C. In that case, waiting jobs are cancelled, and the callback `stop_requested` returns True. Running jobs
+        call it regularly, and end early if it returns True.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet
@@ -168,7 +168,7 @@ class Cluster:
                     running[self._client.submit(_run_job, function, *common, job, name, pure=False)] = tag
                 if gap.requested and not stopping:
                     stopping = True
-                    stop.set()  # Running jobs check this event whenever they take measurements, and then end.
+                    stop.set()  # Running jobs check this event at every measurement, and end if it is set.
                     with_workers = {key for keys in self._client.processing().values() for key in keys}
                     for future in [future for future in running if future.key not in with_workers]:
                         future.cancel()

@@ -106,7 +106,8 @@ class SphereFields:
         if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
-                   f"use {at_most(narrow / 4)} m or less, or count aggregates of this size as mortar")  # fmt: skip
+                   f"use {at_most(narrow / 4)} m or less, a quarter of this aggregate, or count aggregates of this "
+                   "size as mortar")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,9 +13,11 @@ class Frames:
     """Schedule of frames (pictures of the state): one every `interval` seconds of simulated time.
 
     If `interval` is None, there are at least 25 frames per second, and at least 30 frames in a run of the `expected`
-    duration [s]. A frame is taken at the first sample (row of the time series) after the frame is due. If `step` is
-    finite, it is the constant time step [s], and the run also stops between samples to take frames. Two frames are then
-    at least one time step apart.
+    duration [s]. The argument `step` selects when frames are taken:
+
+    - A finite `step` is the constant time step [s]. The run stops between samples (rows of the time series) for each
+      frame that is due. Two frames are at least one time step apart.
+    - An infinite `step` means that the time step varies. A due frame is taken at the next sample.
     """
 
     def __init__(self, interval: float | None, expected: float, step: float = np.inf) -> None:

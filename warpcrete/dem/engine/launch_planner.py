@@ -105,8 +105,11 @@ class LaunchPlanner:
 
         All scenes with stale lists must be rebuilt. On a GPU, the rebuild of several scenes takes hardly longer than
         the rebuild of one scene. A GPU therefore also rebuilds those scenes whose lists will soon be stale. `among`
-        contains the indices of the running scenes, and `flags` contains the control flags of all scenes. `sort_every`
-        contains, for each scene, the number of steps between two re-sortings of its bodies.
+        contains the indices of the running scenes, and `flags` contains the control flags of all scenes.
+
+        `sort_every` contains, for each scene, the number of steps between two re-sortings of its bodies, 0 without
+        them. After a re-sorting step, lists are stale although they could be used longer. Such a scene is rebuilt too,
+        but the age of its lists is not used to predict when its next lists will be stale.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NO_SCENES

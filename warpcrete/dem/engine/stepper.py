@@ -390,7 +390,8 @@ class Stepper:
     def reached(self, flags: np.ndarray) -> bool:
         """Return whether the scene has halted because it has reached its goal or needs an estimate of its stable step.
 
-        `flags` contains the control flags of the scene.
+        In both cases the coroutine from `reaching` must be resumed: it makes the estimate if one is due, and ends if
+        the goal is reached. `flags` contains the control flags of the scene.
         """
         return int(flags[int(HALTED)]) == int(ARRIVED)
 

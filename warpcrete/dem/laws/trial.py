@@ -114,7 +114,9 @@ def _same_reach(one: _Onset, other: _Onset, where: Circumstances) -> None:
             refuse(
                 other.name,
                 f"begins to push {what} apart at an overlap of {wrong:.3g} m",
-                f"must begin at {right:.3g} m like {one.name}, because the coats of all stones are equally thick",
+                f"must begin at {right:.3g} m like {one.name}, because all stones have a coat of the same thickness, a "
+                "layer in which stones may overlap and only pull on each other; the coat is half as thick as the reach "
+                "of the pull",
                 "give both laws the same reach; to leave out a pull, set its force to 0, but not its reach",
             )
 
@@ -351,7 +353,7 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
                 f"{name}.stiffness()",
                 f"{label} = {told[place]:.3g} {unit} at an overlap of {depth[place[1]]:.3g} m",
                 f"must be at least {acts[place]:.3g} {unit}, the value that follows from force(), for stable steps",
-                "return k_n, k_s, c_n and c_s in this order",
+                f"return a larger {label} from stiffness(), whose four values are k_n, k_s, c_n and c_s, in this order",
             )
 
 

@@ -102,10 +102,11 @@ def course_of(simulation: FreeSimulation) -> Course:
 
 
 def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:
-    """Return the mean wall time of all steps in a `run` of a coarser copy, divided by that of its first steps.
+    """Return the factor by which an average time step takes longer to compute than one of the first time steps.
 
-    The first time steps are shorter than later ones, so their solves need fewer iterations. `changes` are the
-    attributes of the scene in which the copy differs from the flow itself.
+    The forecast measures only the first steps of the flow itself. They are shorter than later ones, so their solves
+    need fewer iterations. The factor is measured with a coarser copy of the flow: `run` is a complete run of this copy,
+    and `changes` are the attributes of the scene in which the copy differs from the flow itself.
     """
     start = type(simulation)(
         replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,

@@ -136,8 +136,9 @@ class PartScene(Parametrised, PartSettings):
                 if piece.radius <= wide.max() and self.wall is not None:
                     refuse("wall", self.wall.name, f"bends too sharply {begin:.3g} m from its start: the bend radius "
                            f"{piece.radius:.3g} m must exceed the radius of the bore, {wide.max():.3g} m",
-                           "use a wider bend, or a mesh with more rings of triangles around it; simulations with "
-                           "discrete elements accept this mesh")  # fmt: skip
+                           "use a larger bend radius, or a finer mesh, which has more rings of triangles (bands around "
+                           "the pipe) along the bend; simulations with discrete elements ('--method dem') accept this "
+                           "mesh")  # fmt: skip
                 if piece.radius <= wide.max():
                     problem = "must exceed the pipe's radius"
                     refuse("elbow radius", piece.radius, problem, f"use more than {wide.max():g} m")

@@ -80,8 +80,9 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
 def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
     """Return the mean peak pressure [Pa] for each value of a varied parameter, and a verdict in words.
 
-    The mean pressure is NaN for values without a result. The verdict states whether the paper's claim about the
-    parameter holds; it is empty if no run has a result. `name` is the name of a column of the report.
+    The mean pressure is NaN for values without a result. The verdict states whether the runs confirm what Zhan et al.
+    (2019) claim about the parameter; it is empty if no run has a result. `row` describes the varied parameter. `name`
+    names the set of other parameters, a column of the report of `warpcrete reproduce zhan` such as "calibrated".
     """
     means = [float(np.mean(values)) if values else math.nan for values in pressures(found, row, name)]
     there = [k for k, mean in enumerate(means) if math.isfinite(mean)]

@@ -4,11 +4,13 @@ A knob is a parameter that trades accuracy for speed, such as the resolution. A 
 
 1. Run the scene as given, and then with one knob changed at a time.
 2. Run the scene with all knobs as fine as the budget allows. This run is the reference, unless a closed form is known.
-3. For errors of 20 to 1 %, run the combination of knobs that is expected to be the cheapest one within this error.
+3. For each of several error limits from 20 % down to 1 %, run the combination of knobs that is expected to be the
+   cheapest one within this limit.
 4. Test the cheapest settings with new random seeds and in variants of the scene.
 
 Every run has its own folder, so a resumed study reuses it. Runs that share a processor would falsify each other's wall
-times, so only one run at a time takes place on this machine, or on each worker.
+times, so only one run at a time takes place on this machine. With a Dask scheduler, the runs take place on its workers,
+one at a time on each. A worker is a process on this or another machine, with its own GPU or CPU cores.
 """
 
 import importlib

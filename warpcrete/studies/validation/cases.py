@@ -192,8 +192,8 @@ def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, flo
             )
     concretes = given["concretes"]
     if not isinstance(concretes, int) or concretes < 2:
-        problem = "must be a whole number of at least 2"
-        refuse("case scatter: concretes", concretes, problem, "leave out 'scatter' for a single concrete")
+        problem = "must be a whole number of at least 2, because one concrete alone has no scatter"
+        refuse("case scatter: concretes", concretes, problem, "for one concrete, leave out 'scatter'")
     low, high = (amount(f"case scatter: {key}", given[key], unit) for key in ("from", "to"))
     if not 0 < low < high:
         problem = "must reach from a positive value to a larger one"
