@@ -14,7 +14,7 @@ from warpcrete.cli.main import cli
 from warpcrete.cli.options import quantity_of
 from warpcrete.cli.theory import fields as theory_fields
 from warpcrete.core.device.device import checked_threads
-from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
+from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, between, known_names, suggested
 from warpcrete.core.inputs.amounts import UNITS, accepted_units, amount, bare_number
 from warpcrete.core.inputs.limits import LIMITS, check_limit, limit_of
 from warpcrete.core.inputs.parameters import Above, CompositeRule, Within, declared_fields
@@ -154,6 +154,31 @@ MEANT = [
 def test_an_impossible_number_is_refused_with_the_unit_that_was_meant(name, value, unit, meant):
     text = refused(lambda: check_limit(name, value, unit), name)
     assert "is impossible: must be" in text and text.endswith(meant or ")") and LIMITS[name].why in text
+
+
+@pytest.mark.parametrize(("name", "value", "unit", "_"), MEANT)
+def test_no_unit_is_suggested_for_a_negative_number(name, value, unit, _):
+    assert "did you mean" not in refused(lambda: check_limit(name, -value, unit), name)
+
+
+@pytest.mark.parametrize("part", [{"straight": {"length": 1, "diameter": -3}}, {"straight": {"length": -3}},
+                                  {"reducer": {"to": -3}}, {"bend": {"to": "up", "radius": -3}}])  # fmt: skip
+def test_sizes_of_parts_are_positive(part):
+    """The refusal is the only message: no unit is suggested, no size is called unusual, and no reducer is asked for."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(WarpcreteError, match=r"= -3\.0: must (be a finite number above 0 m$|exceed the radius)"):
+            line_of({"diameter": 0.125, "parts": [part]})
+
+
+@pytest.mark.parametrize(
+    ("ends", "unit", "says"),
+    [((-math.inf, 5.0), "m", "finite and at most 5 m"), ((-math.inf, 5.0), "", "finite and at most 5"),
+     ((2.0, math.inf), "m", "finite and at least 2 m"), ((2.0, 5.0), "m", "in [2, 5] m"),
+     ((-math.inf, math.inf), "m", "a finite number in m"), ((-math.inf, math.inf), "", "a finite number")],
+)  # fmt: skip
+def test_a_refusal_names_the_finite_ends_of_a_range(ends, unit, says):
+    assert refused(lambda: between("x", math.nan, *ends, unit)) == f"x = nan: must be {says}"
 
 
 def test_bare_numbers_are_taken_for_what_they_were_meant():

@@ -237,8 +237,11 @@ def at_least_and_below(field: str, value: float, lower: float, end: float, unit:
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
     """Raise :class:`SceneError` unless `value` is a finite number in [lower, upper]."""
     if not is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
-        span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
-        if not math.isfinite(lower):
+        if math.isfinite(lower):
+            span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
+        elif math.isfinite(upper):
+            span = f"finite and at most {upper:g}"
+        else:
             span = "a finite number in" if _after(unit) else "a finite number"
         refuse(field, value, f"must be {span}{_after(unit)}", hint)
 

@@ -104,7 +104,9 @@ class Course:
             problem = f"does not fit: in the direction of the line here, a part of {length:g} m rises by {rise:.4g} m"
             hint = "put a bend before this part, or leave out 'rise'"
             refuse(f"part {number}, straight: rise", said["rise"], problem, hint)
-        if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
+        diameter = get("diameter", "m", self.diameter)
+        positive(f"part {number}, straight: diameter", diameter, "m")
+        if abs(diameter - self.diameter) > 1e-6:
             refuse(f"part {number}, straight: diameter", said["diameter"], "differs from the diameter at the end of "
                                                                            "the part before "
                    f"it, {self.diameter:g} m", "put a reducer between the two parts")  # fmt: skip

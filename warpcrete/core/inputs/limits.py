@@ -23,7 +23,8 @@ class Limit:
     why: str
     """Reason for the limits. Errors and warnings about a value outside the limits contain this text."""
     usual: tuple[float, float] | None = None
-    """Lower and upper end of the usual magnitudes; a value outside this range causes a warning."""
+    """Lower and upper end of the usual magnitudes; a positive value outside this range causes a warning. A negative
+    value causes none, because other rules refuse it."""
     unit: str = ""
     """Unit of the limits, if they hold for one quantity only. It is empty if they hold for all quantities of a unit."""
 
@@ -126,7 +127,7 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
     if size and not limit.low <= size <= limit.high:
         problem = f"is impossible: must be {limit.low:g} to {limit.high:g}{shown} ({limit.why})"
         refuse(field, value, problem, _meant(value, unit, limit))
-    if size and limit.usual is not None and not limit.usual[0] <= size <= limit.usual[1]:
+    if value > 0 and limit.usual is not None and not limit.usual[0] <= value <= limit.usual[1]:
         meant = _meant(value, unit, limit)
         warn(f"{field} = {value:g}{shown}: is unusual: {limit.why}{f'; {meant}' if meant else ''}")
 
@@ -159,15 +160,16 @@ def warn(text: str) -> None:
 def _meant(value: float, unit: str, limit: Limit) -> str:
     """Return a question such as "did you mean 5 cm or 5 in?", with units in which the number would be usual.
 
-    The question names at most one metric and one customary US unit. It is empty if the number is usual in no unit.
+    The question names at most one metric and one customary US unit. It is empty if the number is usual in no unit, or
+    if it is negative, because then its sign is wrong rather than its unit.
     """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits of all quantities in one unit are too wide to show which unit was meant.
-    if not 1e-2 <= abs(value) <= 1e6:
-        return ""  # A number this small or large does not result from a wrong unit, so suggest none.
+    if not 1e-2 <= value <= 1e6:
+        return ""  # A number that is negative, or this small or large, does not result from a wrong unit, so suggest none.
     possible = [other for other, factor in UNITS.get(unit, {}).items()
-                if factor != 1.0 and low <= abs(value) * factor <= high]  # fmt: skip
+                if factor != 1.0 and low <= value * factor <= high]  # fmt: skip
     # An inch or a cubic yard may be as usual as a metric unit, and only the user knows which one was meant.
     customary = next((other for other in possible if other in CUSTOMARY), None)
     shown = possible[:1] + ([customary] if customary not in (None, *possible[:1]) else [])
