@@ -156,6 +156,14 @@ def test_an_impossible_number_is_refused_with_the_unit_that_was_meant(name, valu
     assert "is impossible: must be" in text and text.endswith(meant or ")") and LIMITS[name].why in text
 
 
+@pytest.mark.parametrize(("name", "unit", "says"), [("frames", "1/s", "frames per"),
+                                                    ("checkpoint_every", "s", "a checkpoint every"),
+                                                    ("budget", "s", "trade-off studies take")])  # fmt: skip
+def test_the_reason_of_a_limit_is_about_the_setting(name, unit, says):
+    """The reasons of the limits of all rates and all times are about concrete: its shear rate and its setting."""
+    assert says in refused(lambda: check_limit(name, 1e9, unit), name)
+
+
 @pytest.mark.parametrize(("name", "value", "unit", "_"), MEANT)
 def test_no_unit_is_suggested_for_a_negative_number(name, value, unit, _):
     assert "did you mean" not in refused(lambda: check_limit(name, -value, unit), name)

@@ -14,6 +14,7 @@ from pumping import TINY
 from test_stretch import PIPE as STRETCH
 
 from warpcrete import Simulation, scenes
+from warpcrete.core.errors import RunFolderError
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.scene.clumps import reference
 from warpcrete.dem.scene.scene import Bodies, Scene
@@ -226,6 +227,22 @@ def test_the_start_of_a_run_is_kept(name, tmp_path):
         },
         tolerance,
     )
+
+
+@pytest.mark.parametrize("live", [False, "rerun+http://127.0.0.1:9876/proxy"])
+def test_a_deleted_recording_is_told_as_any_other_trouble(live, tmp_path, monkeypatch):
+    """Without a viewer, the error names the file; with one, the run only loses its viewer."""
+    monkeypatch.setattr("warpcrete.record.rerun_stream.PATIENCE", 0.01)
+    monkeypatch.setattr("warpcrete.record.rerun_stream._rerun", lambda: SimpleNamespace(GrpcSink=str))
+    stream = RerunStream(tmp_path / "run.rrd", live)
+
+    def fail(timeout_sec):
+        raise RuntimeError("the writer has stopped")
+
+    stream._recording = SimpleNamespace(flush=fail)
+    with pytest.warns(UserWarning, match="goes on without") if live else pytest.raises(RunFolderError, match="run.rrd"):
+        stream.flush()
+    assert stream.live is False
 
 
 @pytest.mark.parametrize(

@@ -188,7 +188,7 @@ class RerunStream:
             # If the disk was full at some time, the thread that writes the recording may never answer, so stop waiting
             # for it. If the writer is only slow, the file still grows, so go on waiting.
             if self.path is not None:
-                before, size = size, self.part_path(self.part).stat().st_size
+                before, size = size, self._written_size()
                 if size != before:
                     since = time.monotonic()
             if time.monotonic() - since > PATIENCE or (self.path is not None and space_error(self.path.parent)):
@@ -201,6 +201,13 @@ class RerunStream:
             stacklevel=2,
         )
         self.live = False
+
+    def _written_size(self) -> int:
+        """Return the size of the current part's file [bytes]; 0 if the file was deleted or cannot be read."""
+        try:
+            return self.part_path(self.part).stat().st_size
+        except OSError:
+            return 0
 
     def disconnect(self, patience: float) -> bool:
         """Close the recording, and return whether the writer answered within `patience` [s]."""

@@ -88,6 +88,9 @@ LIMITS = {
     "regularisation": Limit(1e-9, 1e12, "usual values are 100 to 1e5 s", None, "s"),
     "slump": Limit(1e-5, 3.0, "the cone is 0.3 m high", (1e-4, 0.3), "m"),
     "spread": Limit(1e-2, 10.0, "the cone spreads to 0.2 to 0.9 m", (0.1, 2.0), "m"),
+    "frames": Limit(1e-9, 1e6, "recordings have 1 to 1000 frames per simulated second", None, "1/s"),
+    "checkpoint_every": Limit(1e-12, 1e8, "the default is a checkpoint every 60 s", None, "s"),
+    "budget": Limit(1e-12, 1e8, "trade-off studies take minutes to hours", None, "s"),
     "rest": Limit(1e-6, 1e6, "concrete sets within a day, 1e5 s", (1e-3, 4e4), "s"),
 }  # fmt: skip
 """Limits of quantities. A key is either the name of a quantity or a unit; the limits of a unit apply to all quantities
