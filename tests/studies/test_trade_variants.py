@@ -51,6 +51,22 @@ def test_variants_of_a_vessel_are_compared_with_their_own_reference(tmp_path):
     assert [e.shift for e in trade.errors_of(coarse, [0])] == [pytest.approx(-0.01 / 0.21)]
 
 
+def test_the_interval_about_a_closed_form_has_95_per_cent(tmp_path):
+    """Three errors of 1, 2 and 3 %: their mean is known to 4.303 s / sqrt(3), with s = 1 %."""
+    record = {"scene": "tube", "parameters": {}, "quantities": ["pressure"], "knobs": [],
+              "repeat": 3, "seeded": True, "device": "cpu", "threads": 1, "provenance": {}}  # fmt: skip
+    trade = Trade(tmp_path, modules()["tube"], record)
+    assert trade.exact
+    point = trade.point(GIVEN, {})
+    for seed, error in enumerate((0.01, 0.02, 0.03)):
+        point.results[seed] = {"pressure": {"value": 1.0, "unit": "Pa"},
+                               "pressure_error": {"value": error, "unit": "1"}}  # fmt: skip
+    (found,) = trade.errors_of(point, trade.seeds)
+    assert (found.shift, found.interval) == pytest.approx((0.02, 4.303 * 0.01 / 3**0.5))
+    (single,) = trade.errors_of(point, [0])
+    assert (single.shift, single.interval) == (0.01, 0.0)
+
+
 def test_promises_contain_the_own_error_of_the_reference(tmp_path):
     record = {"scene": "slump", "parameters": {}, "quantities": ["slump"], "knobs": ["spacing", "step error"],
               "repeat": 1, "seeded": False, "device": "cpu", "threads": 1, "provenance": {}}  # fmt: skip

@@ -170,7 +170,7 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits of all quantities in one unit are too wide to show which unit was meant.
     if not 1e-2 <= value <= 1e6:
-        return ""  # A number that is negative, or this small or large, does not result from a wrong unit, so suggest none.
+        return ""  # A negative, very small or very large number does not result from a wrong unit, so suggest none.
     possible = [other for other, factor in UNITS.get(unit, {}).items()
                 if factor != 1.0 and low <= value * factor <= high]  # fmt: skip
     # An inch or a cubic yard may be as usual as a metric unit, and only the user knows which one was meant.

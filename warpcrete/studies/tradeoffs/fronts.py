@@ -52,6 +52,16 @@ def student_quantile(freedom: float) -> float:
     return 1.960 + 2.372 / whole + 2.823 / whole**2 + 2.556 / whole**3
 
 
+def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Return the mean of `values` and the half width of its 95 % confidence interval, by Student's t distribution.
+
+    A single value comes from results without randomness, so its half width is 0.
+    """
+    a = np.asarray(values, float)
+    spread = float(a.std(ddof=1)) / math.sqrt(len(a)) if len(a) > 1 else 0.0
+    return float(a.mean()), student_quantile(len(a) - 1) * spread
+
+
 def difference(quantity: str, values: Sequence[float], reference: Sequence[float], size: float | None = None) -> Error:
     """Return the relative difference between the means of `values` and `reference`, with its confidence interval.
 
@@ -67,7 +77,7 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
     if len(a) == 1 or len(b) == 1:
         return Error(quantity, shift, math.nan)
     if np.array_equal(a, b):  # Equal arrays mean that the reference is compared with itself.
-        return Error(quantity, 0.0, student_quantile(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
+        return Error(quantity, 0.0, mean_interval(b)[1] / size)
     parts = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
     spread = float(parts.sum())
     if spread == 0.0:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.inputs.knobs import Knob
 from ...core.run.method import Quantity
-from .fronts import Error, difference, distance_to_limit, prediction_bound
+from .fronts import Error, difference, distance_to_limit, mean_interval, prediction_bound
 from .points import REFERENCE, Setting
 
 
@@ -71,8 +71,8 @@ class Judging(ABC):
                 found.append(Error(each.name, math.inf, 0.0))
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
-                scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
-                found.append(Error(each.name, float(np.mean(errors)), scatter))
+                mean, half_width = mean_interval(errors)
+                found.append(Error(each.name, mean, half_width))
             elif (finest := self.reference_of(point)) is not None:
                 reference = finest.values(each.name, self.seeds)
                 if reference:
