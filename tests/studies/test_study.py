@@ -18,6 +18,7 @@ from warpcrete.cli.study import parameter_values
 from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.scenes import modules as scene_modules
 from warpcrete.studies import running
+from warpcrete.studies import study as studies
 from warpcrete.studies.cases import Case, is_random
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
@@ -54,7 +55,7 @@ def check_ways_to_run(study, tmp_path):
             lambda case, outcome: outcomes.update({case.name: outcome}), lambda *each: told.append(each),
         )  # fmt: skip
     assert isinstance(outcomes.pop("wrong"), SceneError)
-    assert [phase for phase, *_ in told] == ["running"] * len(told) and told[-1][1] == pytest.approx(2 / 3)
+    assert [phase for phase, *_ in told] == ["running"] * len(told) and told[-1][1] == 1.0
     assert all(0 < one[1] <= other[1] for one, other in itertools.pairwise(told))
     results = running.run_cases(record, channel, tmp_path / "b", [*study.cases, wrong], lambda: False)
     assert isinstance(results.pop(), SceneError)
@@ -63,6 +64,39 @@ def check_ways_to_run(study, tmp_path):
         assert len(hashes) == 1 and (tmp_path / "a" / case.name / "result.json").is_file()
     assert running.run_cases(record, channel, tmp_path / "c", study.cases, lambda: True) == [None, None]
     assert running.run_cases(record, channel, tmp_path / "c", [], lambda: False) == [] and not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize("gpu", [False, True])
+def test_failed_cases_count_as_done(gpu, tmp_path, monkeypatch):
+    """Progress counts cases that failed, on a GPU as well, where each run reports its own progress."""
+    channel, told, asked = importlib.import_module("warpcrete.scenes.channel"), [], []
+
+    def run_them(record, module, folder, pending, processes, store):
+        for case in pending[:-1]:
+            store(case, RuntimeError("broken"))
+
+    def group(record, module, folder, cases, store, progress_of, progress):
+        asked.append([case.name for case in cases])
+        store(cases[0], RuntimeError("broken"))
+        progress_of(cases[1])("running", 0.5, {})
+        return True
+
+    def told_of(phase, fraction, figures):
+        told.append((phase, round(fraction, 6)))
+
+    monkeypatch.setattr(studies, "run_in_processes", run_them)
+    monkeypatch.setattr(running, "_run_group", group)
+    found = run_study("channel", channel, {"flow": [0.001, 0.002, 0.003, 0.004]}, out=tmp_path / "s", device="cpu",
+                      progress=told_of)  # fmt: skip
+    assert len(found.failures) == 3 and told == [("running", k / 4) for k in range(4)]
+    told.clear()
+    (tmp_path / "s" / found.cases[0].name).mkdir(exist_ok=True)
+    (tmp_path / "s" / found.cases[0].name / running.FAILED).write_text("unstable", encoding="utf-8")
+    if gpu:
+        monkeypatch.setattr(studies, "find_device", lambda name: SimpleNamespace(is_cuda=True))
+    resume_study(tmp_path / "s", channel, progress=told_of)
+    assert told == [("running", each) for each in ((0.25, 0.5, 0.625) if gpu else (0.25, 0.5, 0.75))]
+    assert asked == ([[case.name for case in found.cases[1:]]] if gpu else [])
 
 
 def test_a_study_ends_when_it_is_asked_to():

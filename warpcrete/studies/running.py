@@ -96,9 +96,14 @@ def run_on_gpu(
 
         return report_progress
 
+    def store(case: Case, outcome: Any) -> None:
+        store_outcome(case, outcome)
+        if isinstance(outcome, Exception):  # No more work is left for a failed case.
+            progress_of(case)("running", 1.0, {})
+
     for first in range(0, len(pending), CASES_TOGETHER):
         group = pending[first : first + CASES_TOGETHER]
-        if _run_group(record, module, folder, group, store_outcome, progress_of, progress):
+        if _run_group(record, module, folder, group, store, progress_of, progress):
             return
 
 

@@ -203,6 +203,15 @@ def _continue(
     pending = [case for case in cases if not _take_over(study, case)]
     tell = progress or (lambda phase, fraction, figures: None)
 
+    def tell_done() -> None:
+        """Report the fraction of the cases that have finished or failed."""
+        tell("running", (len(study.results) + len(study.failures)) / len(cases), {})
+
+    def tell_pending(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+        """Report a fraction of the pending cases as a fraction of all cases, or the progress of another phase."""
+        all_done = 1 - (1 - fraction) * len(pending) / len(cases)
+        tell(phase, all_done if phase == "running" else fraction, figures)
+
     def store_outcome(case: Case, outcome: Any) -> None:
         """Store the outcome of a case.
 
@@ -220,15 +229,17 @@ def _continue(
             if isinstance(outcome, InstabilityError | SceneError):
                 (folder / case.name).mkdir(exist_ok=True)
                 (folder / case.name / FAILED).write_text(f"{outcome}\n", encoding="utf-8")
-        tell("running", len(study.results) / len(cases), {})
+        if not on_gpu:  # The runs on a GPU report their own progress.
+            tell_done()
 
     if pending:
-        tell("running", len(study.results) / len(cases), {})
+        tell_done()
     try:
+        on_gpu = bool(pending) and cluster is None and find_device(record["device"]).is_cuda
         if pending and cluster is not None:
             cluster.run(record, module, folder, pending, store_outcome)
-        elif pending and find_device(record["device"]).is_cuda:
-            run_on_gpu(record, module, folder, pending, store_outcome, tell)
+        elif on_gpu:
+            run_on_gpu(record, module, folder, pending, store_outcome, tell_pending)
         elif pending:
             run_in_processes(record, module, folder, pending, processes, store_outcome)
     finally:
