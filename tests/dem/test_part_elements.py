@@ -19,7 +19,7 @@ from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.curves import curve_through
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.mps.common.mixes import concrete_of
-from warpcrete.studies.lines.element_line import SeedResult, WallLaw
+from warpcrete.studies.lines.element_line import ElementLine, SeedResult, WallLaw
 from warpcrete.studies.lines.elements import Elements, scaled_parameters
 from warpcrete.studies.lines.losses import friction, line_of, with_layer_factor
 from warpcrete.studies.lines.run import run_line
@@ -202,6 +202,21 @@ def test_a_line_is_put_together_from_its_end():
     upright = line_of({"diameter": 0.1, "begin": "up", "parts": [{"straight": 2}]})
     ((friction, weight),) = flat.course(upright)
     assert friction == pytest.approx(4 * a / 0.1 * 2, rel=1e-4) and weight == pytest.approx(1500 * 9.81 * 2)
+
+
+def test_no_pressure_of_a_falling_line_is_below_zero():
+    """The column breaks where concrete runs down: nothing there helps the pump, and the walls take their least."""
+    down = [{"bend": {"to": "down", "radius": 0.5}}, {"straight": 20}, {"bend": {"to": "level", "radius": 0.5}}]
+    line, level = (
+        line_of({"diameter": 0.1, "parts": parts}) for parts in ([{"straight": 10}, *down], [{"straight": 10}])
+    )
+    packed = SeedResult({0.1: WallLaw(0.1, 100.0, 0.03, 1e3, 1e9)}, {}, 1500.0)
+    assert packed.course(line)[0] == packed.course(level)[0]
+    assert packed.course(line)[2][0] == pytest.approx(4 * 100 / 0.1 * 20)
+    (alone,) = packed.course(level)
+    assert packed.pressure(line) == pytest.approx(sum(alone)) == packed.pressure(level)
+    found = ElementLine(line, "no1", 0.01, [packed, packed], [])
+    assert found.pressures == [packed.pressure(line)] * 2
 
 
 @pytest.mark.thorough

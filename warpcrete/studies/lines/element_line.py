@@ -13,7 +13,7 @@ from ...core.inputs.amounts import PSI
 from ...core.inputs.customary import beside, both
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
-from .run import GRAVITY
+from .losses import GRAVITY, course_of
 
 STEPS = 50
 """Number of intervals into which a part of the pump line is divided to integrate the pressure along it."""
@@ -81,7 +81,11 @@ class SeedResult:
         return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
-        """Return the friction and the weight of each part [Pa], as pairs in the order of the parts in the line."""
+        """Return the friction and the weight of each part [Pa], as pairs in the order of the parts in the line.
+
+        No pressure is below zero, because the concrete column transmits no tension (:func:`.course_of`). The sum of all
+        pairs is therefore below the pressure at the start of the line if concrete runs down faster than it is pumped.
+        """
         pressure, found = 0.0, []
         for part in reversed(line.parts):
             friction = 0.0
@@ -93,11 +97,15 @@ class SeedResult:
                 # midpoint rule.
                 along = 1 - (place + 0.5) / STEPS
                 there = pressure + friction + weight * (1 - along)
-                ahead = there + 0.5 * step * ratio * self._gradient(part, along, there)
-                friction += step * ratio * self._gradient(part, along, ahead)
-            pressure += friction + weight
+                ahead = there + 0.5 * step * ratio * self._gradient(part, along, max(there, 0.0))
+                friction += step * ratio * self._gradient(part, along, max(ahead, 0.0))
+            pressure = max(pressure + friction + weight, 0.0)
             found.append((friction, weight))
         return found[::-1]
+
+    def pressure(self, line: PipeLine) -> float:
+        """Return the pressure at the start of the line [Pa]."""
+        return course_of([friction + weight for friction, weight in self.course(line)])[0]
 
     def _gradient(self, part: Part, along: float, pressure: float) -> float:
         """Return the friction of straight pipe [Pa/m] at the fraction `along` of a part's length, from 0 to 1.
@@ -133,7 +141,7 @@ class ElementLine:
     @property
     def pressures(self) -> list[float]:
         """Pressures at the start of the line, one for each seed [Pa]."""
-        return [sum(map(sum, each.course(self.line))) for each in self.packed]
+        return [each.pressure(self.line) for each in self.packed]
 
     @property
     def pressure(self) -> float:
