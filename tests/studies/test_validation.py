@@ -69,6 +69,15 @@ def test_a_case_is_predicted_as_a_user_would(tmp_path):
     assert case.source == "our yard, 2026, log 7" and UNITS[case.kind] == "Pa/m"
 
 
+def test_a_pressure_below_the_weight_of_the_concrete_is_refused(tmp_path):
+    """A line that rises by 10 m needs 2350 kg/m3 * 9.81 m/s2 * 10 m = 2.305 bar without any friction."""
+    text = PIPE.replace("kind: pipe", "kind: line").replace("diameter: 125 mm", "line: site")
+    lines = "lines: {{site: {{diameter: 125 mm, begin: up, parts: [straight: 10]}}}}\n"
+    (case,) = read_cases(written(tmp_path, (lines + text).format(one=1, two=1).replace("kPa/m", "bar")))
+    with pytest.raises(SceneError, match=r"^case measured = 100000\.0: must exceed .* line, 2\.305e\+05 Pa; check"):
+        compare(case)
+
+
 def test_a_mean_of_several_concretes_counts_each_of_them(tmp_path):
     """Five concretes between 0.8 and 1.25 times the prediction, in a band of 10 %: the middle part is inside."""
     exact = gradient(20) / 1e3

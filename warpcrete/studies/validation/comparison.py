@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.errors import refuse
 from ...theory.bands import Band
 from .cases import Case
 from .predictions import PREDICTORS, line_weight
@@ -50,7 +51,12 @@ def compare(case: Case, held_out: bool = False) -> Comparison:
     bands = PREDICTORS[case.kind](case)
     measured = np.array(case.measured)
     if case.kind == "line":
-        measured = measured - line_weight(case)
+        weight = line_weight(case)
+        if min(case.measured) <= weight:
+            refuse("case measured", min(case.measured), f"must exceed the pressure due to the weight of "
+                   f"the concrete in the line, {weight:.4g} Pa", "check the unit of the pressure, the rises and the "
+                   "density")  # fmt: skip
+        measured = measured - weight
     value, low, high = (float(np.exp(np.mean(np.log([max(getattr(x, end), 1e-9) for x in bands]))))
                         for end in ("value", "low", "high"))  # fmt: skip
     return Comparison(case, held_out, float(np.exp(np.mean(np.log(measured)))), Band(value, low, high, bands[0].shares))
