@@ -155,7 +155,7 @@ class BodyState:
         if narrowest < MIN_CELLS * width:
             refuse("spacing", width, f"is too coarse: the narrowest aggregate, {narrowest:.3g} m, must be at least "
                                      f"{MIN_CELLS:g} cells wide",
-                   f"use {at_most(narrowest / 4)} m or less, a quarter of this aggregate, or count smaller aggregates "
+                   f"use {at_most(narrowest / 4)} m or less, a quarter of its width, or count smaller aggregates "
                    "as mortar")  # fmt: skip
         volume = 4 / 3 * np.pi * radius**3
         extra = (aggregates.density - density) * volume

@@ -106,7 +106,7 @@ class SphereFields:
         if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
-                   f"use {at_most(narrow / 4)} m or less, a quarter of this aggregate, or count aggregates of this "
+                   f"use {at_most(narrow / 4)} m or less, a quarter of its width, or count aggregates of this "
                    "size as mortar")  # fmt: skip
 
 
