@@ -11,7 +11,9 @@ from test_line_fit import KNOWN, LINE, TRUE, known, taps
 
 from warpcrete.cli.main import cli
 from warpcrete.studies.lines.fit import fit_line
+from warpcrete.studies.lines.fit_band import with_gauges
 from warpcrete.studies.lines.fit_report import fit_lines
+from warpcrete.studies.lines.line_fit import FittedConstant, LineFit
 from warpcrete.studies.lines.losses import line_of, straight_friction, with_layer_factor
 from warpcrete.studies.lines.taps import Tap
 from warpcrete.studies.lines.theory_line import line_by_theory
@@ -86,6 +88,37 @@ def test_gauges_that_no_layer_explains_lie_in_a_wider_band_with_a_warning(factor
     assert "contain all gauges" in found.coverage
     customary = "\n".join(fit_lines(fit, replace(SITE, customary=True)))
     assert "psi/ft of friction between 16.4 and 262 ft" in customary
+
+
+def contradiction_at(*readings):
+    """Return the contradiction of readings (place [m], flow [m3/h], pressure over that of the layer TRUE)."""
+    flat = line_of({"diameter": "125 mm", "parts": [{"straight": 100}]})
+    read = []
+    for place, flow, factor in readings:
+        friction = straight_friction(flat.parts[0], TRUE, flow / 3600)
+        read.append(Tap(place, factor * friction * (1 - place / 100), flow / 3600, 0))
+    layer = (FittedConstant("viscosity", 700.0, 600.0, 800.0, "Pa s/m", True),
+             FittedConstant("yield", 25.0, 20.0, 30.0, "Pa", True))  # fmt: skip
+    return with_gauges(LineFit(tuple(read), layer, (), 0.1, 0.1, 1e3), flat, TRUE).contradiction
+
+
+@pytest.mark.parametrize("flows", [(28.0, 28.0), (28.0, 28.05), (28.05, 28.0), (20.0, 40.0)])
+def test_gauges_at_different_flows_contradict_each_other_as_well(flows):
+    """A log states the flow of each reading; a flow that no two gauges share is compared with the others.
+
+    The friction is twice that of the layer between 0 and 50 m, and half of it behind.
+    """
+    found = contradiction_at((0.0, flows[0], 1.25), (50.0, flows[1], 0.5))
+    assert (found.low.begin, found.high.begin, found.high.end) == (50.0, 0.0, 50.0)
+    assert found.low.measured / found.low.fitted == pytest.approx(0.5)
+    assert found.high.measured / found.high.fitted == pytest.approx(2.0)
+
+
+def test_repeated_readings_of_a_gauge_count_as_their_mean():
+    found = contradiction_at((0.0, 28.0, 1.2), (0.0, 28.0, 1.3), (50.0, 28.0, 0.4), (50.0, 28.1, 0.6))
+    assert found.low.measured / found.low.fitted == pytest.approx(0.5)
+    assert found.high.measured / found.high.fitted == pytest.approx(2.0)
+    assert contradiction_at((50.0, 28.0, 1.5), (50.0, 40.0, 0.5)) is None
 
 
 def test_gauges_that_agree_by_chance_keep_the_error_of_a_gauge():

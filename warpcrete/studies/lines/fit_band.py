@@ -15,6 +15,7 @@ from ...theory.pipe import Concrete
 from .line_fit import Contradiction, LineFit, Stretch
 from .losses import GRAVITY
 from .tap_model import TapModel, metre_model
+from .taps import SAME_FLOW, Tap
 
 SCALED = "not determined by these points; multiplied by the same factor as the viscosity, to fit what was known before"
 """Text on a yield stress of the slip layer that the measured pressures do not determine. It says that the yield stress
@@ -183,22 +184,41 @@ def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradi
     """Return the two stretches of a trial line whose measured frictions contradict each other most.
 
     For each stretch, the measured friction is divided by the friction of the fit at the same flow. The result is the
-    pair of stretches at one flow for which these ratios differ most, or None if no flow was measured at two places.
+    pair of stretches at one flow for which these ratios differ most. Flows that differ by at most the fraction
+    `SAME_FLOW` count as one flow. If no flow was measured at two places, the readings at all flows are compared. The
+    result is None if there is only one place.
     """
+    groups: list[list[Tap]] = []
+    for tap in sorted(fit.taps, key=lambda tap: tap.flow):
+        if groups and tap.flow <= (1 + SAME_FLOW) * groups[-1][0].flow:
+            groups[-1].append(tap)
+        else:
+            groups.append([tap])
+    for among in (groups, [list(fit.taps)]):
+        compared = [_contradiction_among(replace(fit, taps=tuple(taps)), line, concrete) for taps in among]
+        found = [each for each in compared if each is not None]
+        if found:
+            return max(found, key=lambda x: x.high.measured / x.high.fitted - x.low.measured / x.low.fitted)
+    return None
+
+
+def _contradiction_among(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradiction | None:
+    """Return the two stretches that contradict each other most, from all readings in `fit.taps`; None for one place.
+
+    The friction of each reading is converted to the mean flow, in proportion to the friction of the fit. The friction
+    at each place is the mean of its readings.
+    """
+    flow = float(np.mean([tap.flow for tap in fit.taps]))
+    at_mean = replace(fit, taps=tuple(replace(tap, flow=flow) for tap in fit.taps))
     weights = concrete.density * GRAVITY * np.array(TapModel(line, concrete, fit.taps).rises)
-    by_flow: dict[float, dict[float, tuple[float, float]]] = {}
-    for tap, fitted, weight in zip(fit.taps, fit.pressures, weights.tolist(), strict=True):
-        by_flow.setdefault(tap.flow, {}).setdefault(tap.place, (tap.pressure - weight, fitted - weight))
-    found = []
-    for readings in by_flow.values():
-        places = sorted(readings)
-        stretches = []
-        for begin, end in zip(places, [*places[1:], None], strict=True):
-            length = (line.length if end is None else end) - begin
-            behind = (0.0, 0.0) if end is None else readings[end]
-            measured, own = ((a - b) / length for a, b in zip(readings[begin], behind, strict=True))
-            stretches.append(Stretch(begin, end, measured, own))
-        stretches.sort(key=lambda x: x.measured / x.fitted)
-        if len(stretches) > 1:
-            found.append(Contradiction(stretches[0], stretches[-1]))
-    return max(found, key=lambda x: x.high.measured / x.high.fitted - x.low.measured / x.low.fitted, default=None)
+    own, fitted = (_at_taps(each, line, concrete)(1.0) - weights for each in (fit, at_mean))
+    measured = (np.array([tap.pressure for tap in fit.taps]) - weights) * np.where(own > 0, fitted / own, 1.0)
+    at = np.array([tap.place for tap in fit.taps])
+    readings = {x: (float(measured[at == x].mean()), float(fitted[at == x].mean())) for x in np.unique(at).tolist()}
+    stretches = []
+    for begin, end in zip(readings, [*list(readings)[1:], None], strict=True):
+        length = (line.length if end is None else end) - begin
+        behind = (0.0, 0.0) if end is None else readings[end]
+        stretches.append(Stretch(begin, end, *((a - b) / length for a, b in zip(readings[begin], behind, strict=True))))
+    stretches.sort(key=lambda x: x.measured / x.fitted)
+    return Contradiction(stretches[0], stretches[-1]) if len(stretches) > 1 else None
