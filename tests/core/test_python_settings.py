@@ -1,12 +1,15 @@
 """Settings of the Python functions that have a wrong type: every one is refused in one line, and nothing is written."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import warpcrete
-from warpcrete import RunFolder, Simulation, WarpcreteError, scenes
+from warpcrete import Run, RunFolder, Simulation, WarpcreteError, scenes
 from warpcrete.core.errors import SceneError, refuse
+from warpcrete.dem.laws import HertzMindlin
 
 SMALL = dict(spacing=0.025, duration=0.05)
 TARGETS = {
@@ -25,19 +28,24 @@ WRONG = {
     "quantities": (3, "slump"), "knobs": (3, "spacing"),
     "trade": (3, b"x"),
     "recordings": (3,), "colour": (3,), "live": (3, 0.5), "network": ("yes", 1), "bind": (3,),
+    **dict.fromkeys(("quiet", "one_at_a_time", "rerun", "cache", "web"), ("x", 1, [])),
+    **dict.fromkeys(("energy_balance", "segregation", "rigid_partner"), ("x", 1, [])),
 }  # fmt: skip
 CALLS = {
     "Simulation": (lambda **given: Simulation(scenes.slump(**SMALL), **given), "device threads progress out"),
     "RunFolder": (lambda **given: RunFolder("run", **given), "recordings colour live network bind"),
     "study": (
         lambda **given: warpcrete.study(scenes.slump, vary={"lift_time": [1, 2]}, **SMALL | given),
-        "device progress out repeat processes",
+        "device progress out repeat processes quiet one_at_a_time rerun",
     ),
     "trade": (
         lambda **given: warpcrete.trade(scenes.slump, **SMALL | given),
         "device threads progress out repeat quantities knobs",
     ),
-    "explain": (lambda **given: warpcrete.explain(scenes.slump(**SMALL), **given), "device threads trade"),
+    "explain": (lambda **given: warpcrete.explain(scenes.slump(**SMALL), **given), "device threads trade cache"),
+    "Scene": (lambda **given: replace(scenes.pipe(), **given), "energy_balance segregation"),
+    "HertzMindlin": (lambda **given: HertzMindlin.of(1e8, 0.3, **given), "rigid_partner"),
+    "view": (lambda **given: Run.view(SimpleNamespace(folder=None), **given), "web"),
     "calibrate": (
         lambda **given: warpcrete.calibrate(TARGETS, **given),
         "device progress out repeat processes trials batch seed",

@@ -255,6 +255,12 @@ def whole(field: str, value: object, lower: int, upper: int | None = None) -> No
         refuse(field, cast(object, value), f"must be a whole number {span}")
 
 
+def flag(field: str, value: object) -> None:
+    """Raise :class:`SceneError` unless `value` is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        refuse(field, value, "must be True or False")
+
+
 def callback(field: str, value: object) -> None:
     """Raise :class:`SceneError` unless `value` is a function, or None or False for no function."""
     if value is not None and value is not False and not callable(value):

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import refuse
+from ..core.errors import flag, refuse
 from ..core.run.files import output_folder
 from ..core.run.progress import progress_bar, stderr_is_terminal
 from .study import Progress, run_study
@@ -39,6 +39,8 @@ def study(
             refuse("vary", key, "is not the name of a parameter", 'for example vary={"velocity": [0.3, 0.5]}')
         if isinstance(values, str) or not isinstance(values, Iterable):
             refuse(key, values, "must be a list of values", f'for example vary={{"{key}": [{values!r}, ...]}}')
+    if quiet is not None:
+        flag("quiet", quiet)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
     folder = output_folder(out, "study")
     if "progress" in settings:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core.errors import refuse, whole
+from ..core.errors import flag, refuse, whole
 
 MAX_NAME_LENGTH = 120
 """Maximum length of a run folder's name [characters]; file systems allow 255 bytes."""
@@ -45,6 +45,7 @@ def cases_of(
     scene has a seed. Raises :class:`SceneError` for empty or repeated values and for too many cases.
     """
     whole("repeat", repeat, 1, MAX_CASES)
+    flag("one_at_a_time", one_at_a_time)
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
             refuse(name, values, "must be one or more values that are all different", "leave out repeated values")

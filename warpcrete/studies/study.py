@@ -17,6 +17,7 @@ from ..core.errors import (
     SceneError,
     between,
     callback,
+    flag,
     is_full,
     positive,
     quoted,
@@ -85,6 +86,8 @@ def run_study(
     strange = sorted(set(recorders) - {kind.name for kind in RECORDERS})
     if strange:
         refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
+    for name, recorded in recorders.items():
+        flag(name, recorded)
     if "precision" in known:
         if "precision" in varied or given.get("precision", precision) != precision:
             problem = "must be the same for the whole study"

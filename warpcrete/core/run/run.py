@@ -17,7 +17,7 @@ import numpy as np
 
 from ..drawing.html import html_table
 from ..drawing.style import SERIES, legend_above, new_figure, open_frame, rgb
-from ..errors import RunFolderError, WarpcreteError, one_of, refuse
+from ..errors import RunFolderError, WarpcreteError, flag, one_of, refuse
 from ..inputs.origin import readable
 from ..narrowing import is_dict
 from ..units import shown
@@ -228,6 +228,7 @@ class Run:
         program runs; the address for the browser is printed. The server listens on the IP address `bind`, which by
         default only this machine can reach. Raises :class:`RunFolderError` if there is no recording.
         """
+        flag("web", web)
         if self.folder is None:
             raise RunFolderError(
                 "the run has no folder; only runs with a folder can be shown: write it with run.save(FOLDER), or use "

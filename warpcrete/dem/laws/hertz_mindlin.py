@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 import warp as wp
 
-from ...core.errors import between, positive
+from ...core.errors import between, flag, positive
 from ...core.inputs.parameters import Above, OneOf, Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
@@ -50,6 +50,7 @@ class HertzMindlin(ContactLaw):
         The material has the given Young's modulus [Pa] and Poisson ratio. `others` are further fields of the law.
         """
         positive("young_modulus", young_modulus, "Pa")
+        flag("rigid_partner", rigid_partner)
         between("poisson_ratio", poisson_ratio, 0, 0.5)
         bodies = 1 if rigid_partner else 2
         shear = young_modulus / (2 * (1 + poisson_ratio))

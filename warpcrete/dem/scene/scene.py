@@ -13,7 +13,7 @@ import numpy as np
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.drawing.style import pumping_caption
-from ...core.errors import between, one_of, positive, refuse, vector
+from ...core.errors import between, flag, one_of, positive, refuse, vector
 from ...core.inputs.field_help import help_on_fields
 from ...geometry.axis import Axis
 from ...geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
@@ -281,6 +281,8 @@ class Scene(Parametrised):
     def __post_init__(self) -> None:
         between("duration", self.duration, 0, np.inf, "s")
         positive("sample_interval", self.sample_interval, "s")
+        for name in ("energy_balance", "segregation"):
+            flag(name, getattr(self, name))
         object.__setattr__(self, "gravity", vector("gravity", self.gravity))
         between("local_damping", self.local_damping, 0, 0.99)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.device.device import checked_threads, find_device
-from ...core.errors import RunFolderError, SceneError, refuse
+from ...core.errors import RunFolderError, SceneError, flag, refuse
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.fingerprints import fingerprint
 from ...core.inputs.knobs import Knob
@@ -82,6 +82,7 @@ def explain(
     method = method_of(scene)
     found = find_device(device)
     threads = checked_threads(threads)
+    flag("cache", cache)
     # Read the trade-off record first, so that a wrong folder is refused before the measurements.
     folder = None if trade is None else folder_path("trade", trade)
     savings, source = _measured_savings(scene, folder, found.is_cuda)
