@@ -6,7 +6,8 @@ precision). It does not store their columns: a face is coupled with at most ENTR
 grid are known.
 
 The sum of the rounding errors of a row is added to the diagonal, so that a uniform motion causes the same forces as
-with the exact matrix. Otherwise, rounding errors would exceed the inertia of the mortar in long time steps.
+with the exact matrix. Otherwise, rounding errors would exceed the inertia of the mortar in long time steps. Rotations
+cause exact forces only in cubic cells, where the entries that cancel one another are equal and are rounded alike.
 """
 
 import functools

@@ -50,7 +50,7 @@ def test_a_run_that_is_too_short_to_show_a_blockage_says_so():
         result = {"blockage_window": {"value": 0.08, "unit": "m"}, "slowest_advance": slowest}
         return not_blocked_words(SimpleNamespace(result=result, series={"travel": np.array([0.0, travel])}))
 
-    assert "0.1 m only" in words(0.1, 0.9)
+    assert "only 0.1 m" in words(0.1, 0.9)
     assert "at least 0.90 times" in words(0.5, 0.9)
     assert "move the piston further" in words(0.5, 0.1)
     assert "too few aggregates" in words(0.5, None)

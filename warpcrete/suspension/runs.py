@@ -9,13 +9,12 @@ from ..core.units import quantity
 from ..mps.common.run import FlowRun
 from .flow import SuspensionFlow
 
-SOLVE_BYTES = 4 * 8 * 64
-"""Memory per cell that the coupled solve of mortar and aggregates needs for its search directions [bytes], in single
-precision.
+SOLVE_BYTES = 4 * (8 * 64 + 24)
+"""Memory per cell that the coupled solve of mortar and aggregates needs [bytes], in single precision.
 
-With each direction, the solve stores the direction's product with the matrix. A direction and its product have eight
-numbers for each cell. The memory is sufficient for 64 directions, because hardly any solve needs more than 60
-iterations.
+With each search direction, the solve stores the direction's product with the matrix. A direction and its product have
+eight numbers for each cell. The memory is sufficient for 64 directions; hardly any solve needs more than 60 iterations.
+A GPU also stores a compact copy of the viscous matrix, with 24 numbers for each cell.
 """
 DEEPEST = 0.3
 """Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error. The overlap is

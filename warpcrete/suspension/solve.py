@@ -51,9 +51,9 @@ VISCOUS, CHECKED = 0.5, 7
 """Accuracy of the viscous solves of the preconditioner.
 
 A viscous solve stops when the norm of its residual has fallen to the fraction VISCOUS of the norm at its start. This is
-checked after every CHECKED iterations only, because a check makes the host wait for the GPU. More exact viscous solves
-take more time than the iterations of the coupled solve that they save: on an H200, a step of a million cells with
-11,937 spheres takes 41 to 50 ms with these values, and 43 to 79 ms with 0.3 and 5.
+checked after every CHECKED iterations only, so a solve makes at least CHECKED iterations: with fewer, the coupled solve
+would need more iterations than they save. A check also makes the host wait for the GPU. More exact solves take more
+time than they save. The page `notebooks/development/notes-suspension.md` gives times of steps with other values.
 """
 
 
@@ -372,7 +372,8 @@ class CoupledSolve:
         for number in range(self.tolerances.inner):
             if number % CHECKED == 0:
                 sums = self.sums.numpy()
-                if sums[int(RZ)] <= VISCOUS**2 * sums[int(RZ_FIRST)]:
+                # With the rounded matrix, the curvature p.Ap along a direction p might not be positive. Then end too.
+                if sums[int(RZ)] <= VISCOUS**2 * sums[int(RZ_FIRST)] or (number > 0 and sums[int(PQ)] <= 0.0):
                     return
             self._launch(multiply, self.tasks, direction=self.direction, result=self.product)
             self._launch(self.gather, self.for_bodies, direction=self.direction, result=self.product)

@@ -93,9 +93,9 @@ def bin_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def copy(flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Fields):
-        """Copy the particles in sorted order, because many cells and faces read them; one task per particle, GPU only.
+        """Copy the particles in sorted order, because many cells and faces read them.
 
-        Each task copies one particle, so that neighbouring tasks write neighbouring entries.
+        The kernel runs on a GPU only, with one task per particle. Neighbouring tasks thus write neighbouring entries.
         """
         k = wp.tid()
         if flags[HALTED] != 0 or k >= mesh.reserved_places[0]:
