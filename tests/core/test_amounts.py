@@ -7,7 +7,7 @@ import pytest
 from schema_builder import text_pattern
 
 from warpcrete import SceneError
-from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, is_amount, is_customary, unit_names
+from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, bare_number, is_amount, is_customary, unit_names
 from warpcrete.mix.ingredients import mass_per_volume
 from warpcrete.mix.mix import mix_of
 
@@ -158,3 +158,24 @@ def test_amounts_that_are_no_mass_per_volume_are_refused(parts, volume, says):
 )  # fmt: skip
 def test_us_units_are_recognised_wherever_they_stand(value, expected):
     assert is_customary(value) is expected
+
+
+@pytest.mark.parametrize(
+    ("given", "unit", "value"),
+    [("35m3/h", "m3/s", 35 / 3600), ("26 yd3/h", "m3/s", 26 * 0.764554857984 / 3600), ("5 ft", "m", 1.524),
+     ("4 inches", "m", 0.1016), ("1000 psi", "Pa", 6894757.293), ("147 lb/ft3", "kg/m3", 2354.714),
+     ("10 min", "s", 600.0), ("1 h", "s", 3600.0), ("5 %", "1", 0.05), ("2 GPa", "Pa", 2e9)],
+)  # fmt: skip
+def test_units_of_other_countries(given, unit, value):
+    assert amount("it", given, unit) == pytest.approx(value, rel=1e-6)
+
+
+def test_a_long_text_is_no_amount():
+    """A long text is refused: the time to find a number in a text grows with the cube of the length of the text."""
+    for text in ("1" + " " * 2000 + "x\n", " " * 2000 + "1"):
+        with pytest.raises(SceneError, match="must be a number with one of the units m, mm"):
+            amount("diameter", text, "m")
+        assert not bare_number(text)
+    assert amount("diameter", "  125  mm ", "m") == 0.125 and bare_number(" 1e3 ")
+    with pytest.raises(SceneError, match="must be a number without a unit, or with %"):
+        amount("share", "1 m", "1")

@@ -197,8 +197,8 @@ def test_a_job_of_slurm_is_what_dask_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("given", "text"),
     [(("moon", None), "scheduler = 'moon': must be one of local, slurm, or an address"), ((None, 2), "workers = 2"),
-     (("local", 0), "workers = 0"), (("tcp://node1:8786", 2), "workers = 2: cannot be set for the running scheduler 'tcp://node1:8786'"),
-     (("local", 2, 2), "processes = 2")],
+     (("local", 0), "workers = 0"), (("local", 2, 2), "processes = 2"),
+     (("tcp://node1:8786", 2), "workers = 2: cannot be set for the running scheduler 'tcp://node1:8786'")],
 )  # fmt: skip
 def test_what_it_refuses(given, text):
     with pytest.raises(SceneError, match=text):

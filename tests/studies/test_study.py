@@ -16,6 +16,7 @@ import warpcrete
 from warpcrete import scenes
 from warpcrete.cli.study import parameter_values
 from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.core.run.run import Run
 from warpcrete.scenes import modules as scene_modules
 from warpcrete.studies import running
 from warpcrete.studies import study as studies
@@ -97,6 +98,21 @@ def test_failed_cases_count_as_done(gpu, tmp_path, monkeypatch):
     resume_study(tmp_path / "s", channel, progress=told_of)
     assert told == [("running", each) for each in ((0.25, 0.5, 0.625) if gpu else (0.25, 0.5, 0.75))]
     assert asked == ([[case.name for case in found.cases[1:]]] if gpu else [])
+
+
+def test_progress_of_a_gpu_study_counts_runs_that_end_early(monkeypatch):
+    """A run that ends early counts as complete; an interrupted run does not."""
+    told, cases = [], [Case(str(k), {}, {}) for k in range(4)]
+
+    def group(record, module, folder, cases, store, progress_of, progress):
+        for case, finished in zip(cases, (True, True, False)):
+            progress_of(case)("running", 0.25, {})
+            store(case, Run(SimpleNamespace(), {}, {}, {}, finished))
+        store(cases[3], KeyboardInterrupt())
+
+    monkeypatch.setattr(running, "_run_group", group)
+    running.run_on_gpu({}, None, None, cases, lambda *_: None, lambda phase, fraction, _: told.append(fraction))
+    assert told == [0.0625, 0.25, 0.3125, 0.5, 0.5625]
 
 
 def test_a_study_ends_when_it_is_asked_to():

@@ -243,7 +243,8 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
     results_by_key: dict[tuple, tuple[Any, float]] = {}
     for (_, precision, threads), keys in kinds.items():
         started = wall_clock.perf_counter()
-        requests = [Request(needed[k].scene.fill, needed[k].scene.contact, needed[k].scene.seed) for k in keys]  # type: ignore[arg-type]
+        scenes = [needed[k].scene for k in keys]
+        requests = [Request(scene.fill, scene.contact, scene.seed) for scene in scenes]  # type: ignore[arg-type]
         results: list[Any] = []
         for first in range(0, len(requests), PACKINGS_PER_BATCH):
             results += pack_many(

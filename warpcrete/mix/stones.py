@@ -39,7 +39,8 @@ BLEND = re.compile(r"#\s*([0-9]+)\s*[/-]\s*([0-9]+)\b")
 RANGE = re.compile(rf"({SIZE})\s*({UNIT})?\s*([-\u2013/]|to\b)\s*((?:[1-3][ -])?[0-9]+(?:[/.,][0-9]+)?)\s*({UNIT})")
 """Pattern of the smallest and the largest size with their unit in the name of an ingredient, such as '5-20 mm'."""
 SIEVES = re.compile(
-    r"(?<![0-9./,#])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)(?![0-9/]|\s*(?:in|\"|[u\u00b5\u03bc]m))"
+    r"(?<![0-9./,#])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)"
+    r"(?![0-9/]|\s*(?:in|\"|[u\u00b5\u03bc]m))"
 )
 """Pattern of two sieves in millimetres in the name of an ingredient, such as '4/16'. It does not match a fraction of an
 inch, such as '3/8'."""

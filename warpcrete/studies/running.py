@@ -98,7 +98,8 @@ def run_on_gpu(
 
     def store(case: Case, outcome: Any) -> None:
         store_outcome(case, outcome)
-        if isinstance(outcome, Exception):  # No more work is left for a failed case.
+        # No work is left for a case that failed or finished, even if its run ended early.
+        if isinstance(outcome, Exception) or (isinstance(outcome, Run) and outcome.finished):
             progress_of(case)("running", 1.0, {})
 
     for first in range(0, len(pending), CASES_TOGETHER):

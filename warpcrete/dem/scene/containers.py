@@ -124,7 +124,8 @@ class MeshContainer:
 
     def walls(self, material: str) -> tuple[Wall, ...]:
         """Return the mesh as a wall whose contacts follow the laws of `material`."""
-        return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
+        vertices, faces = self.mesh.vertices, self.mesh.faces  # type: ignore[attr-defined]
+        return (MeshWall(name="container", vertices=vertices, faces=faces, material=material),)
 
     def pilot(self) -> MeshContainer:
         """Return the whole container for trial packings, because a mesh cannot be shortened as a pipe can."""
