@@ -169,6 +169,11 @@ def test_no_unit_is_suggested_for_a_negative_number(name, value, unit, _):
     assert "did you mean" not in refused(lambda: check_limit(name, -value, unit), name)
 
 
+def test_the_range_of_a_seed_begins_at_zero():
+    for wrong in (-1, -(10**23)):
+        assert re.search(r"(at least|from) 0( to 9223372036854775807)?$", refused(lambda w=wrong: scenes.pipe(seed=w)))
+
+
 @pytest.mark.parametrize("part", [{"straight": {"length": 1, "diameter": -3}}, {"straight": {"length": -3}},
                                   {"reducer": {"to": -3}}, {"bend": {"to": "up", "radius": -3}}])  # fmt: skip
 def test_sizes_of_parts_are_positive(part):

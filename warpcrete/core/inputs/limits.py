@@ -137,9 +137,9 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
 
 def check_whole(field: str, value: int) -> None:
     """Refuse an integer whose magnitude is too large for a counter or for the seed of random numbers."""
-    most = LARGEST_SEED if field == "seed" else LARGEST_INTEGER
+    least, most = (0, LARGEST_SEED) if field == "seed" else (-LARGEST_INTEGER, LARGEST_INTEGER)
     if abs(value) > most:
-        refuse(field, value, f"must be from {-most} to {most}" if value < 0 else f"must be at most {most}")
+        refuse(field, value, f"must be from {least} to {most}" if value < 0 else f"must be at most {most}")
 
 
 def check_velocity(field: str, value: float, velocity: float) -> None:
