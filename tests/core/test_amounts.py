@@ -33,6 +33,8 @@ WRONG = [
     ("1,234 m", "m", "the comma in 1,234 may separate"), ("-1,234 bar", "Pa", "the comma in -1,234 may separate"),
     ("1,234.5 m", "m", "leave out separators of thousands"), ("1.234,5 m", "m", "leave out separators of thousands"),
     ("0.2,", "m/s", "leave out the comma at the end"), ("2 m;", "m", "leave out the semicolon at the end"),
+    ("5 kg,", "m", "ft, yd; a number"), ("abc,", "m", "ft, yd; a number"), (",", "m", "ft, yd; a number"),
+    ("1,234,", "m", "write 1.234 or 1234"), ("2 m ,", "m", "leave out the comma"), ("5 inchs;", "m", "mean 'inch"),
     ("1,234,567 m", "m", "leave out separators"), ("1/2", "m", "write fractions of inches or feet as '4 1/2 in'"),
     ("1/2 m", "m", "write fractions of inches"), ("4 1/3 in", "m", "halves to sixty-fourths"),
     ("4 9/8 in", "m", "write fractions"), ("1/2 bar", "Pa", "write a decimal number instead of a fraction"),

@@ -173,6 +173,11 @@ CSV = {
     "flow [m3/h],pressure [bar]\n10,3\n20\n": "line 3: has 1 values where the header names 2 columns; write one value",
     "flow [m3/h],flow [l/s],pressure [bar]\n10,3,1\n20,4,1\n": "has the column 'flow' twice; remove or rename one",
     "flow [m3/h];pressure [bar]\n10,3;1,5\n20\n": "line 3: has 1 values where the header names 2 columns",
+    "flow [m3/h];pressure [bar]\n1,5;10,3;30;\n": "has 4 values where the header names 2 columns; leave out the "
+    "surplus values, or name their columns",
+    "flow [m3/h];pressure [bar]\n1,5;10,3;\n": "line 2: has 3 values where the header names 2 columns; leave out the "
+    "semicolon at the end",
+    "flow [m3/h],pressure [bar]\n10,3,\n20,4\n": "header names 2 columns; leave out the comma at the end",
     "flow [m3/h];pressure [bar]\n1,234;3\n20;4\n": "line 2: flow = '1,234 m3/h': must be a number",
     "flow [m3/h];Flow (l/s);pressure [bar]\n10;3;1\n20;4;1\n": "has the column 'flow' twice; remove or rename one",
     'flow [m3/h],pressure [bar]\n"1,234",3\n20,4\n': "line 2: flow = '1,234 m3/h': must be a number",

@@ -110,6 +110,19 @@ def test_every_option_that_has_no_answer_without_a_flow_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--shapes", "reference"], "shapes = 'reference': has no effect with --method flow"),
+        (["--known", "foo"], "known = 'foo': has no effect without a simulation"),
+        (["--gauge", "1 bar"], "gauge = '1 bar': has no effect without --fit"),
+        (["--seeds", "3"], "seeds = 3: has no effect with --method flow"),
+    ],
+)
+def test_refused_options_have_quotes_around_texts_only(options, says):
+    assert says in called("burj-khalifa", *options).output
+
+
+@pytest.mark.parametrize(
     ("option", "value"),
     [
         ("layer_factor", 1.5), ("rest", "5 min"), ("pump_pressure", "85 bar"), ("pump_flow", "60 m3/h"),
@@ -119,4 +132,4 @@ def test_every_option_that_has_no_answer_without_a_flow_is_named(tmp_path):
 def test_options_of_theory_and_flow_are_refused_with_discrete_elements(option, value):
     done = called("burj-khalifa", "--method", "dem", f"--{option.replace('_', '-')}", str(value))
     assert done.exit_code != 0
-    assert f"{option} = {value}: has no effect with --method dem; use --method both" in done.output
+    assert f"{option} = {value!r}: has no effect with --method dem; use --method both" in done.output

@@ -11,8 +11,10 @@ import pytest
 from warpcrete import scenes
 from warpcrete.mps.free.quantities import expected
 from warpcrete.mps.free.scene import FreeScene
+from warpcrete.mps.part.quantities import QUANTITIES as PART_QUANTITIES
 from warpcrete.suspension import quantities
-from warpcrete.suspension.part.quantities import SuspensionData
+from warpcrete.suspension.part.quantities import OF_THEORY, SuspensionData
+from warpcrete.suspension.part.quantities import QUANTITIES as WITH_AGGREGATES
 from warpcrete.suspension.stretch.quantities import QUANTITIES, RunData
 from warpcrete.theory.suspension import concrete_of_mortar
 
@@ -28,6 +30,12 @@ def test_the_parts_of_aggregates_and_mortar_that_remain_are_told(monkeypatch):
     assert list(quantities.report_aggregates(run)) == [("first", "line"), ("aggregates", words)]
     run.series.pop("aggregates_inside")
     assert list(quantities.report_aggregates(run)) == [("first", "line")]
+
+
+def test_quantities_with_a_theoretical_value_name_the_mortar_of_the_theory():
+    named = {each.name for each in WITH_AGGREGATES if each.meaning.endswith("; theory of mortar without aggregates")}
+    parts = {each.name for each in PART_QUANTITIES}
+    assert named == OF_THEORY == {name for name in parts if name.endswith("_theory")} | {"middle_ratio"}
 
 
 @pytest.mark.parametrize("rows", [20, 18])

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from ..core.errors import between
+from ..core.errors import between, quoted
 from ..core.inputs.amounts import amount, bare_number
 from ..core.inputs.customary import beside, both
 from ..core.inputs.fingerprints import fingerprint
@@ -63,7 +63,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     given = line_inputs(line, settings)
     if settings["blocking"] is not None:
         if given.guessed:
-            raise click.UsageError(f"blocking = {settings['blocking']}: needs the file of a concrete; write a mix "
+            raise click.UsageError(f"{_stated('blocking', settings)}: needs the file of a concrete; write a mix "
                                    "file, and give it as --concrete")  # fmt: skip
         out = out or next_folder("line")
     requested = simulate or method != "flow"
@@ -75,7 +75,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     needed = () if settings["blocking"] is None else ("device", "threads")
     for name, usual in () if requested or unknown else FLOW_OPTIONS.items():
         if name not in needed and settings[name] != usual:
-            raise click.UsageError(f"{name} = {settings[name]}: has no effect without a simulation; add --simulate, or "
+            raise click.UsageError(f"{_stated(name, settings)}: has no effect without a simulation; add --simulate, or "
                                    f"leave out --{name}")  # fmt: skip
     if requested or unknown:
         if _simulated(given, method, out, stop, settings, unless_known=not requested):
@@ -129,6 +129,12 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         click.echo(f"\nfolder: {out}")
 
 
+def _stated(name: str, settings: Mapping[str, Any]) -> str:
+    """Return the name and the value of an option for a message, with quotes around texts: "gauge = '1 bar'"."""
+    value = settings[name]
+    return f"{name} = {quoted(str(value) if isinstance(value, Path) else value)}"
+
+
 def _check_rest(stated: str | None) -> None:
     """Refuse a time of rest that has no unit and is below `SHORTEST_REST`, because it is most likely in minutes."""
     number = amount("rest", stated, "s") if bare_number(stated) else 0.0
@@ -175,11 +181,11 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     heavy = simulate or method != "flow"
     if settings["gauge"] is not None and settings["fit"] is None:
         raise click.UsageError(
-            f"gauge = {settings['gauge']!r}: has no effect without --fit; leave out --gauge, or add --fit FILE"
+            f"{_stated('gauge', settings)}: has no effect without --fit; leave out --gauge, or add --fit FILE"
         )
     if settings["fit"] is not None and heavy:
         raise click.UsageError(
-            f"fit = '{settings['fit']}': is compared with theory, not with simulations; leave out --simulate and "
+            f"{_stated('fit', settings)}: is compared with theory, not with simulations; leave out --simulate and "
             "--method"
         )
 
@@ -188,11 +194,11 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 
     only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
     for name in changed(only_dem) if method == "flow" else ():
-        raise click.UsageError(f"{name} = {settings[name]}: has no effect with --method flow; use --method both, or "
+        raise click.UsageError(f"{_stated(name, settings)}: has no effect with --method flow; use --method both, or "
                                f"leave out --{name}")  # fmt: skip
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
-        raise click.UsageError(f"{name} = {settings[name]}: has no effect with --method dem; use --method both, or "
+        raise click.UsageError(f"{_stated(name, settings)}: has no effect with --method dem; use --method both, or "
                                f"leave out --{name.replace('_', '-')}")  # fmt: skip
     for name in ("layer_factor", "coarse", "stiffer"):
         if settings[name] is not None:

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..core.errors import one_line, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount, is_customary
-from ..core.inputs.concretes import is_file
+from ..core.inputs.concretes import KEYS as CONCRETE_KEYS
+from ..core.inputs.concretes import OF_MIXES, is_file
 from ..core.inputs.limits import check_limit, check_velocity
 from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
 from .axis import Axis
@@ -27,7 +28,7 @@ SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
 """Number of points along a part, by the kind of the part. The search for crossings treats the part as straight between
 neighbouring points."""
-OF_CONCRETES = ("mix", "elements", "slump", "spread", "sieve", "water_binder")
+OF_CONCRETES = tuple(key for key in (*CONCRETE_KEYS, *OF_MIXES) if key not in KEYS)
 """Keys of a concrete's file. They reveal that the user gave such a file by mistake as the file of a line."""
 
 
@@ -74,13 +75,14 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     """
     if not isinstance(given, Mapping):
         refuse("line", given, "must consist of 'key: value' lines")
+    for key in (each for each in given if each in OF_CONCRETES):
+        with errors_located_at(given, key):
+            hint = "give this file as --concrete, or as 'concrete' in the file of a line"
+            if isinstance(given.get("parts"), list):  # The parts of a line are a list, and those of a mix a mapping.
+                hint = "move it to a file of its own, and name this file as 'concrete', or use the option --slump"
+            refuse("line's key", key, "describes a concrete, not a line", hint)
     for key in given:
         with errors_located_at(given, key):
-            if key not in KEYS and any(each in given for each in OF_CONCRETES):
-                hint = "give this file as --concrete, or as 'concrete' in the file of a line"
-                if "parts" in given:
-                    hint = "move it to a file of its own, and name this file as 'concrete', or use the option --slump"
-                refuse("line's key", key, "describes a concrete, not a line", hint)
             if key == "stone":
                 refuse("line's key", key, "is called 'largest_stone' in a line", "write 'largest_stone: 20 mm'")
             one_of("line's key", key, KEYS)

@@ -275,7 +275,10 @@ def _advice(text: str, unit: str) -> str:
     if other and is_amount(text, other):
         return conversion
     if text.endswith((",", ";")):
-        return f"leave out the {'comma' if text.endswith(',') else 'semicolon'} at the end"
+        rest = text[:-1].rstrip()
+        if math.isfinite(_parsed(rest, unit)):
+            return f"leave out the {'comma' if text.endswith(',') else 'semicolon'} at the end"
+        return _advice(rest, unit)
     if re.match(r"[-+]?[0-9]+[.,][0-9]+[.,]", text):
         return "leave out separators of thousands"
     if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):

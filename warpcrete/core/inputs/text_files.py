@@ -238,9 +238,12 @@ def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
             raise Unreadable(f"has the column {name!r} twice", "remove or rename one of the two columns")
     for line, row in rows:
         if len(row) != len(header):
-            comma = len(row) > len(header)
-            raise Unreadable(f"has {len(row)} values where the header names {len(header)} columns",
-                              "write decimal points, as in 10.3, or separate the columns by semicolons" if comma else
-                              "write one value for each column",
-                              line)  # fmt: skip
+            hint = "write one value for each column"
+            if len(row) == len(header) + 1 and not row[-1].strip():
+                hint = f"leave out the {'semicolon' if separator == ';' else 'comma'} at the end"
+            elif len(row) > len(header) and separator == ";":
+                hint = "leave out the surplus values, or name their columns"
+            elif len(row) > len(header):
+                hint = "write decimal points, as in 10.3, or separate the columns by semicolons"
+            raise Unreadable(f"has {len(row)} values where the header names {len(header)} columns", hint, line)
     return header, rows

@@ -69,11 +69,13 @@ def _counts(run: Run) -> str:
 
 
 BLOCKED = "the part was blocked"
+OF_THEORY = frozenset({"pressure_theory", "upstream_gradient_theory", "downstream_gradient_theory", "middle_ratio"})
+"""Names of quantities of a part that contain a theoretical value, which holds for the mortar without aggregates."""
 
 QUANTITIES = (
     *(
         replace(each, meaning=f"{each.meaning}; theory of mortar without aggregates")
-        if "heoretical" in each.meaning
+        if each.name in OF_THEORY
         else each
         for each in PART_QUANTITIES
         if each.name != "middle_excess"
