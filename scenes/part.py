@@ -199,9 +199,8 @@ def _check_wall(given: PartParameters) -> None:
 def _mesh(given: PartParameters) -> _PipeCourse:
     """Return axis, inner radii and wall of a pipe: the bore of a mesh file between two straight pipes."""
     if given.wall is None:
-        refuse(
-            "unit", given.unit, "needs a mesh file", "set 'wall' to the path of the mesh file, or choose another 'unit'"
-        )
+        hint = "set 'wall' to the path of this file, or choose a 'unit' that needs no mesh"
+        refuse("unit", given.unit, "needs a mesh file, which contains the bore of the part", hint)
     _check_wall(given)
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
     if abs(bore.ends[0] / given.diameter - 1) > DIAMETER_TOLERANCE:

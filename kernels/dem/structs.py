@@ -316,7 +316,8 @@ def links_struct(scalar):
         near_list_exceeded: wp.array(dtype=wp.int32)
         # positions and radii of the spheres when near links were chosen [m], shape (spheres,)
         near_position: wp.array(dtype=t.vec4)
-        # time from the list rebuild to the choice of near links [s], shape (scenes,)
+        # time from the rebuild of the neighbour list to the latest choice of near links (listed pairs of spheres that
+        # may touch soon) [s], shape (scenes,)
         near_time: wp.array(dtype=wp.float64)
 
     return Links

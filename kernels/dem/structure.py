@@ -15,8 +15,9 @@ def breakdown_kernel(scalar, law) -> wp.Kernel:
     """Return a kernel, with one thread per scene, that updates the yield stress of the contact law `law`.
 
     The law is a :class:`LubricationLayer`, which gains yield stress at rest. This gain decays with the slip as
-    exp(-slip / breakdown). The slip is the distance that one wall has travelled since slip began. Each launch computes
-    the yield stress from the whole slip, so the kernel may run at any interval.
+    exp(-slip / breakdown). The slip is the distance that one wall has travelled since slip began. `slip_wall` holds the
+    index of this wall in an array of the walls of all scenes of the batch. Each launch computes the yield stress from
+    the whole slip, so the kernel may run at any interval.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls

@@ -39,7 +39,9 @@ def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tupl
 def sum_functions(width: int) -> SimpleNamespace:
     """Build `accumulate` and `total_of`, which sum a value over all threads of all blocks; a block has `width` threads.
 
-    Each thread first passes its contributions to `accumulate`; after a barrier, `total_of` returns the total.
+    Each thread passes its contributions to `accumulate` and adds up the results. After a barrier, it passes this sum to
+    `total_of`, which returns the total. If there are several blocks, `accumulate` stores the sum of each block in the
+    array `partial` and returns 0. All sums of threads are then zero, and `total_of` adds up the values in `partial`.
     """
     alone = width == WIDE
     keep, total = block_sums(width).keep, block_sums(width).total

@@ -131,7 +131,7 @@ def test_vessels_grip_by_what_a_law_has():
     (dict(contact="warpcrete.dem.laws:ContactLaw"), "must be a frozen dataclass|does not define device_functions"),
     (dict(contact="hertz"), "contact = 'hertz': must be one of linear, hertz-mindlin, .* or 'module:Class'"),
     (dict(contact="a b:Toy"), "must be one of linear"),
-    (dict(contact=7), "contact = 7: must be one of linear, .* or an object of one of these classes"),
+    (dict(contact=7), "contact = 7: must be one of linear, .* or an object of a class derived from ContactLaw"),
     (dict(contact=Toy), "must be one of linear"),
     (dict(contact="linear", contact_friction=-1.0), "contact_friction = -1.0: must be finite and at least 0"),
     (dict(contact="rolling", contact_contact_friction=-1.0), "contact_contact_friction = -1.0: must be"),

@@ -179,7 +179,8 @@ class Course:
             refuse(f"{field}: points", given, problem, "for example '[2, 0, -0.5]'")
         if len(given) > MOST_POINTS:
             problem = f"must be at most {MOST_POINTS} points"
-            refuse(f"{field}: points", f"{len(given)} points", problem, "leave out points between others")
+            hint = f"leave out {len(given) - MOST_POINTS} or more of the points where the hose is nearly straight"
+            refuse(f"{field}: points", f"{len(given)} points", problem, hint)
         local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
         for x in local.ravel().tolist():
             check_limit(f"{field}: points", x, "m", "length")

@@ -33,7 +33,10 @@ def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diamete
 
 
 def as_customary(line: PipeLine) -> PipeLine:
-    """Return a pipeline whose texts use customary US units, although its file has metric units or there is no file."""
+    """Return a copy of a pipeline that was described in metric units, but is to be reported in customary US units.
+
+    The labels of the parts of the copy, and all texts about it, have inches, feet and psi. `line` does not change.
+    """
     return replace(line, customary=True, parts=tuple(_labelled(part, part.customary_label) for part in line.parts))
 
 

@@ -124,6 +124,8 @@ def fill_kernel(scalar, serial: bool, of: GridKind):
     level, lies, film, behind = say.level, say.lies, say.film, say.behind
     add_mass, read_vec4 = column_functions(scalar, dims).add_mass, row_functions(scalar).read_vec4
 
+    # The index `n` of a cell in the block around a given cell counts from 0, fastest along the first axis. Cell 0 has
+    # the lowest position along every axis, and the middle index (4 in 2D, 13 in 3D) belongs to the given cell itself.
     @wp.func
     def neighbour(g: Grid, number: wp.int32, n: wp.int32) -> wp.int32:
         """Return the number of cell `n` in the block of 3^axes cells around the cell with the given number."""

@@ -164,7 +164,11 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `begin`, which sets a goal for the flow, and `tick`, which ends each step."""
+    """Build the kernels `begin`, which sets a goal for the flow, and `tick`, which ends each step.
+
+    The goal is a time or a step count at which the flow must halt. A flow that has reached its goal is marked as halted
+    and takes no steps. Therefore `begin`, which needs only one thread, sets the new goal and also removes this mark.
+    """
     Fields = grid_structs(scalar, of.dimensions).Fields
 
     @wp.func

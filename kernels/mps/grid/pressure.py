@@ -42,7 +42,10 @@ one, and h is the width of the cell. If STIFF were 30, half of the effect in a s
 def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels `divergence`, which sets up the pressure solve, and `project`, which applies its solution.
 
-    Both kernels run with one task per cell.
+    Both kernels run with one task per cell. In flows with a free surface, `project` stores the pressure change of each
+    cell. The next step adds a part of it to its own change (see `carried`), so that the pressure follows the moving
+    surface with less lag. The rise of the pressure in a cell that concrete has just reached is not stored, because such
+    a rise is no trend.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

@@ -302,8 +302,8 @@ class Launcher:
         """
         left = list(sizes)
         while left:
-            # During core contention, or while it is not known whether there is contention, check for it after each
-            # launch graph.
+            # Core contention means that other processes use the CPU cores on which the threads of this run compute.
+            # While there is contention, or while this is not known, check for it after each launch graph.
             contended = self._pool is not None and self.contention.use_one_thread()
             count = 1 if self._pool is not None and (contended or self.contention.is_uncertain) else len(left)
             now, left = left[:count], left[count:]

@@ -194,8 +194,9 @@ class Display(ABC):
     def draw(self, later: RecorderThread, job: Callable[[float, int], None]) -> None:
         """Let `job` draw the present state; the arguments of `job` are the simulated time [s] and the number of steps.
 
-        The first job runs at once, and the display records which values it reads. For each later job, this method
-        copies these values, and the thread `later` runs the job while the simulation goes on.
+        `later` is the recorder thread, which draws while the simulation goes on. The first job runs at once in the
+        calling thread, and the display records which values it reads. For each of the next jobs, this method copies
+        these values, and the recorder thread runs the job. Without such a thread, all jobs run at once.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
         if not later.in_thread or not self._complete:

@@ -144,7 +144,7 @@ class ByName(CompositeRule):
             return self.classes[value]
         words = f"must be one of {', '.join(self.classes)}, or 'module:Class' for a class of your own module"
         if not isinstance(value, str):
-            refuse(field.name, value, f"{words}, or an object of one of these classes")
+            refuse(field.name, value, f"{words}, or an object of a class derived from {field.kind.__name__}")
         if not _names_class(value):
             refuse(field.name, value, words)
         module, _, name = value.partition(":")

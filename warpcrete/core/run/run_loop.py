@@ -218,7 +218,9 @@ class Simulation(CheckpointedSimulation):
         """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
         self._has_run = True
         if self._ended_run is None:
-            self.ending = None  # Forget that an earlier call of `begin` may have been interrupted.
+            # An earlier call of `begin` may have failed and stored its error here. The run has now begun after all, so
+            # discard this error; `_end` will store how the run ends.
+            self.ending = None
         self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self.wall_times.start()
         if self._resumed is not None and self._ended_run is None:
@@ -252,7 +254,9 @@ class Simulation(CheckpointedSimulation):
             self.wall_times.phases["running"] = self.wall_times.running
             self.finishing = True
             run = self._end(finished, error)
-            error = None  # Break the reference cycle of this stack frame and the traceback, which would hold memory.
+            # The traceback of the error refers to this stack frame, and the frame to the error, so both would stay in
+            # memory. This variable is no longer needed: `_end` has used it, and an error in flight is still raised.
+            error = None
         if full := [*full, *filter(is_full, failures)]:
             raise disk_full_error(full, self._checkpoint_time) from full[0]
         if failures:

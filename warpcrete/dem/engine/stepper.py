@@ -352,7 +352,11 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether the latest goal was a number of steps and an estimate of the stable step is now due."""
+        """Return whether an estimate of the stable time step is due because the scene has taken a number of steps.
+
+        The goal of a scene is a time or a number of steps. No estimate interrupts a goal in steps, because all these
+        steps have the same length, so an estimate can be overdue at their end.
+        """
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 

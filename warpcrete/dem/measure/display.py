@@ -230,7 +230,7 @@ class ElementDisplay(Display):
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)
-        if sampler is None:  # The sampler exists only from t = 0 on.
+        if sampler is None:  # Before t = 0, nothing is sampled, so the stresses are unknown (NaN) and not drawn.
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
             # The samples are never changed after they have been recorded, so the display needs no copy.
@@ -298,7 +298,7 @@ class ElementDisplay(Display):
 
         A plane is a single patch, so it has no distribution of wear that could be drawn.
         """
-        # The sampler, which records the wear, exists only from t = 0 on.
+        # The sampler, which records the wear, is created at t = 0. Before, no wear is recorded.
         sampler = getattr(self.simulation, "sampler", None)
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None

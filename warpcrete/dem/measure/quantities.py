@@ -52,7 +52,8 @@ class Known:
     mass: float
     """Total mass of all bodies [kg]."""
     contacts: ContactSums
-    """Sums over the contacts at the end of the run, coordination number included."""
+    """Object with sums over all contacts at the end of the run: their number, the coordination number, overlaps,
+    energies [J], and the numbers of bonds and of broken bonds."""
     wear: WearMap | None = None
     blockage: BlockageWatch | None = None
     """Outcome of the check for blockage during the run; None if the scene did not request this check."""

@@ -53,9 +53,10 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
 
 
 def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Return whether the main body of a heap has stayed slow for one second after its release.
+    """Return whether the main body of a heap has been slow throughout the last second of simulated time.
 
-    For a test in which the concrete flows out of a vessel, the result is always False.
+    The result is False until one second has passed since the vessel was opened. For a test in which the concrete flows
+    out of a vessel, the result is always False.
     """
     return vessel.test.outflow is None and is_at_rest(rows, vessel.opened, vessel.rest_speed)
 

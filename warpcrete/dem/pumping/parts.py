@@ -184,9 +184,8 @@ def course_of(given: PartElements) -> Course:
     if line is not None:
         check_straight_ends(line, given.line)
     if given.unit == "mesh" and given.wall is None and line is None:
-        refuse(
-            "unit", given.unit, "needs a mesh file", "set 'wall' to the path of the mesh file, or choose another 'unit'"
-        )
+        hint = "set 'wall' to the path of this file, or choose a 'unit' that needs no mesh"
+        refuse("unit", given.unit, "needs a mesh file, which contains the bore of the part", hint)
     parts = _meshed(given) if given.wall is not None else line
     if parts is None:
         axis, bores, middle = _part(given)

@@ -25,7 +25,9 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 
     The points are Roberts' R3 sequence, shifted by a random vector.
     """
-    root = 1.2207440846057596  # Real root of x^4 = x + 1, the counterpart of the golden ratio in three dimensions.
+    # Positive root of x^4 = x + 1, the counterpart of the golden ratio in three dimensions. Multiples of its powers -1,
+    # -2 and -3, modulo 1, are the coordinates of points that fill the cube evenly.
+    root = 1.2207440846057596
     steps = root ** -np.arange(1, 4)
     return (random.uniform(size=3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
 

@@ -1,5 +1,6 @@
 """Standard tests of fresh concrete with a free surface, as flows on a grid.
 
-Modules here import the packages that `mps` imports, and also `mps.grid` and `mps.common`. To read the code, start with
-`scene`, and go on with `quantities`, which lists the results.
+This package is a part of `mps`. Its modules may import the packages outside `mps` that the rest of `mps` imports, such
+as `core` and `theory`. Inside `mps` they may import `mps.grid` and `mps.common`. To read the code, start with `scene`,
+and go on with `quantities`, which lists the results.
 """

@@ -216,7 +216,10 @@ def _down(rate: float) -> str:
 
 
 def _movements(longest: float | None) -> str:
-    """Return advice on how often the concrete must move, if `longest` [s] is the longest stop before a restart."""
+    """Return advice on how often the concrete must be moved during an interruption of the flow.
+
+    `longest` is the longest stop [s] after which the pump can still restart the line, or None if there is none.
+    """
     if longest is None or longest < SHORTEST_STOP:
         return "do not interrupt the flow, or use a stronger pump"
     return f"move the concrete at least every {longest // 60:.0f} min"

@@ -277,7 +277,7 @@ class LineResult(LinePressures):
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         found += [f"part {x.part.number} was simulated as a fluid without stones; stones may add to its friction, so "
                   "the range of its friction is kept; a measured 'factor' would narrow it"
-                  for x in self.losses  # A bore that was not simulated has the friction of theory.
+                  for x in self.losses  # The friction of a bore equals that by theory only if it was not simulated.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
             found.append("no concrete pump is known to deliver more than "

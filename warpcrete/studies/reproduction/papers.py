@@ -189,9 +189,10 @@ def column_parameters(name: str) -> dict[str, Any]:
 
 
 def rows_of(name: str) -> tuple[str, ...]:
-    """Return the names of the rows of the report for which the runs of one column are made.
+    """Return the names of the rows of the report that have results in the column called `name`.
 
-    `name` is the name of the column. The rows are the group of the four pipe units, and the parameter variations.
+    `name` is one of `CONCRETES` or `OPEN_ASSUMPTIONS`. One row, "units", is for the paper's four pipe units: a vertical
+    pipe, a horizontal pipe, and two pipes with a bend. Each other row is for one varied parameter, such as "diameter".
     """
     return OPEN_ASSUMPTIONS[name][1] if name in OPEN_ASSUMPTIONS else (UNITS_ROW, *(row.name for row in ZHAN))
 

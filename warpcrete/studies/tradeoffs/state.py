@@ -116,11 +116,11 @@ class Trade(Judging):
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Setting) -> dict[str, str]:
-        """Return the name of the level of each changed knob in a setting, by the name of the knob.
+        """Return a dictionary from the names of knobs to the names of their levels in a setting.
 
-        A knob is a parameter that trades accuracy for run time, and a level is one of its values. Levels with the same
-        name correspond to each other in different scenes. Knobs with the same value as in the scene as given are left
-        out.
+        A knob is a parameter that trades accuracy for run time, and a level is one of its values. The dictionary
+        contains only knobs whose level differs from that in the scene as given. Levels with the same name correspond to
+        each other in different scenes.
         """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}

@@ -321,8 +321,9 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
         # An earlier call had a larger budget and already ran this setting. Use it as the reference again.
         if top == trade.record.get("finest"):
             break
-        # For each knob, compare the present level with the next coarser one: divide the logarithm of the factor by
-        # which the coarser level shortens the run by the error of the coarser level.
+        # The reference would exceed its budget, so one knob must take its next coarser level. Choose the knob that
+        # saves the most time for its error: the largest ln(t_present / t_coarser) / error, with the run times t and the
+        # error of the coarser level. The logarithm is used because the savings of several knobs multiply.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:

@@ -25,9 +25,9 @@ stretch is proportional to its volume."""
 
 
 def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Aggregates, Entrance]:
-    """Place aggregates at random in the part and outside, behind the plane through which they will enter it.
+    """Place aggregates at random in the part, and upstream of the plane through which concrete enters the part.
 
-    Returns the aggregates and this plane.
+    The aggregates upstream enter the part during the run. Returns all aggregates and this plane.
 
     Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
     """
@@ -42,7 +42,7 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
 
     def distance(x: np.ndarray) -> np.ndarray:
         s = axis.along(frame.to_scene(x))
-        # Behind the plane through which aggregates enter, the bore has the same cross-section as at this plane.
+        # Upstream of the plane through which aggregates enter, the bore has the same cross-section as at this plane.
         found = bore(x - np.minimum(s, 0.0)[:, None] * way)
         found = np.minimum(found, np.minimum(s + behind, axis.length - s))
         return np.minimum(found, x[:, 1]) if half else found
@@ -60,8 +60,8 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
     found = aggregates_within(scene, float(volume[-1]), distance, corners, corners, scene.seed, draw=draw)
     enters, appears = _times(found, lambda x: axis.along(frame.to_scene(x)), speed, scene, layout)
     gravity = frame.axes @ [0.0, 0.0, -scene.gravity]
-    # All aggregates start with the mean velocity of the flow at their places, so that aggregates behind the plane do
-    # not push others.
+    # All aggregates start with the mean velocity of the flow at their places, so that aggregates upstream of the plane
+    # do not push others.
     depth = axis.along(frame.to_scene(found.centre))
     fast = speed * (scene.radius / scene.bore(np.maximum(depth, 0.0))) ** 2
     start = fast[:, None] * (axis.at(depth)[1] @ frame.axes.T)

@@ -104,7 +104,8 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         largest = self.diameters[1]
         if self.length < MIN_LENGTH * largest:
             refuse("length", self.length, f"must be at least {MIN_LENGTH:g} diameters of the largest aggregate, "
-                                          "because the ends of the stretch are connected",
+                                          "because the stretch is periodic (what leaves one end enters the "
+                                          "other), and in a shorter one an aggregate would act on itself",
                    f"use {at_least(MIN_LENGTH * largest)} m or more")  # fmt: skip
         if self.depth and largest > 0.5 * self.depth:
             problem = "must be at least two diameters of the largest aggregate, because planes of symmetry limit it"
