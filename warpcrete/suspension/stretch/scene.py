@@ -105,7 +105,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         if self.length < MIN_LENGTH * largest:
             refuse("length", self.length, f"must be at least {MIN_LENGTH:g} diameters of the largest aggregate, "
                                           "because the stretch is periodic (what leaves one end enters the "
-                                          "other), and in a shorter one an aggregate would act on itself",
+                                          "other), and an aggregate must not be close to its own periodic copy",
                    f"use {at_least(MIN_LENGTH * largest)} m or more")  # fmt: skip
         if self.depth and largest > 0.5 * self.depth:
             problem = "must be at least two diameters of the largest aggregate, because planes of symmetry limit it"
