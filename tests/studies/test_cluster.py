@@ -58,7 +58,7 @@ def test_workers_make_the_same_folders_and_bits(device, tmp_path):
         "pipe", pipe_module, varied, base=BASE, out=tmp_path / "dask", device=device, scheduler="local",
         workers=workers, progress=lambda phase, fraction, figures: told.append(fraction),
     )  # fmt: skip
-    assert study.finished and len(study.results) == 2 and len(study.failures) == 2 and told[-1] == 0.5
+    assert study.finished and len(study.results) == 2 and len(study.failures) == 2 and told[-1] == 1.0
     assert hashes(study) == hashes(alone) and study.failures == alone.failures
     files = [sorted(p.relative_to(s.folder) for p in s.folder.rglob("*")) for s in (study, alone)]
     assert files[0] == files[1]
