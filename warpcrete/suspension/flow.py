@@ -201,7 +201,8 @@ class SuspensionFlow(GridFlow):
     def _build_stages(self) -> None:
         part = SuspensionStep(self, range(1))
         self._before, self._after, self._blocks = part.before(), part.after(), part.blocks()
-        self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
+        tolerances, single = self.coupled.tolerances, self.projection.matrix.levels == 1
+        self.pressure_stages = part.pressure_solve(tolerances.pressure_single_level if single else tolerances.pressure)
 
     def share(self, abreast: int) -> None:
         super().share(abreast)

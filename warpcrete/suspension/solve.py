@@ -66,8 +66,12 @@ class Tolerances:
     pressure: float = 0.9
     """Residual norm at which a pressure solve of the preconditioner stops, divided by the norm at its start.
 
-    Most pressure solves then stop after their first iteration. More exact solves do not save iterations of the coupled
-    solve."""
+    Most pressure solves then stop after their first iteration. With a multigrid preconditioner, more exact pressure
+    solves do not save iterations of the coupled solve.
+    """
+    pressure_single_level: float = 0.1
+    """The same on grids that are too small for multigrid. There, the first iteration hardly changes a pressure that
+    varies slowly in space, so the net inflow into the whole grid would have an error of some tenths of a per cent."""
     outer: int = 200
     """Maximum number of iterations of the coupled solve."""
     inner: int = 5000
