@@ -1,5 +1,6 @@
 """Coupled solve of mortar, spheres and pressure: its number of iterations, search directions and new contacts."""
 
+import dataclasses
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -52,7 +53,11 @@ def test_pressure_solves_of_long_steps_need_few_iterations(device, monkeypatch):
         counts.append(int(self.flow.projection.arrays.outcome.numpy()[int(ITERATIONS)]))
 
     monkeypatch.setattr(CoupledSolve, "_precondition", counted)
-    suspension(0.4, 0, device, "float32", wide=4, long=4, rate=1e-5).take(1)
+    flow = suspension(0.4, 0, device, "float32", wide=4, long=4, rate=1e-5)
+    # At the usual tolerance, every solve stops after one or two iterations, however slowly it converges.
+    flow.coupled.tolerances = dataclasses.replace(flow.coupled.tolerances, pressure=0.1)
+    flow._build_stages()
+    flow.take(1)
     # Measured: 3, and 25 with the diagonal as preconditioner. With inertia alone, the numbers were 101 and 245.
     assert max(counts) <= (30 if wp.get_device(device).is_cuda else 5)
 

@@ -70,8 +70,10 @@ class Tolerances:
     solves do not save iterations of the coupled solve.
     """
     pressure_single_level: float = 0.1
-    """The same on grids that are too small for multigrid. There, the first iteration hardly changes a pressure that
-    varies slowly in space, so the net inflow into the whole grid would have an error of some tenths of a per cent."""
+    """Residual norm at which a pressure solve stops on a grid without multigrid, divided by the norm at its start.
+
+    On such a grid, the first iterations hardly change a pressure that varies slowly in space. If a pressure solve
+    stopped after them, inflow and outflow of the whole grid would differ by some tenths of a per cent."""
     outer: int = 200
     """Maximum number of iterations of the coupled solve."""
     inner: int = 5000

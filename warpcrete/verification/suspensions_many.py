@@ -145,7 +145,7 @@ def high_frequency_viscosity(fraction: float) -> float:
 def balance_case(device: str, precision: str) -> list[Row]:
     """Check that power and momentum are balanced in steps with moving walls, weight, contacts and yield stress."""
     # The errors are proportional to the tolerance of the coupled solve, which single precision limits to about 1e-5.
-    coupled, allowed = (3e-5, 1e-3) if precision == "float32" else (3e-10, 1e-8)
+    coupled, allowed = (3e-5, 5e-4) if precision == "float32" else (3e-10, 5e-9)
     flow = suspension(
         0.35, 0, device, precision, wide=4, long=4, rate=1.0, strain=0.05, extra_density=400.0, yield_stress=20.0,
         coupled=coupled,

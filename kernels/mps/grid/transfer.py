@@ -79,7 +79,7 @@ def particle_functions(scalar, of: GridKind):
     whole, vec = t.whole, t.vec
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Fields = structs.Particles, structs.Fields
+    Fields = structs.Fields
     f = grid_functions(scalar, of)
     around, block = 2 * 3**last, 3**dims
     columns = column_functions(scalar, dims, of.periodic)
@@ -110,7 +110,7 @@ def particle_functions(scalar, of: GridKind):
         return o, there
 
     @wp.func
-    def from_particles(g: Grid, particles: Particles, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
+    def from_particles(g: Grid, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
         """Return the weighted mean velocity of the particles around a face, or `before` if there are none."""
         place = f.face_middle(g, c, axis)
         length = scalar(g.n[last]) * g.width[last]
@@ -181,15 +181,15 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
     vec = mps_types(scalar, dims).vec
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
+    Fields, Geometry, Walls = structs.Fields, structs.Geometry, structs.Walls
     f = grid_functions(scalar, of)
     kind_of, needed = face_functions(scalar, of)
     from_particles, at_all_faces = particle_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
-        g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, walls: Walls,
-        mesh: Fields, worker: wp.int32, workers: wp.int32,
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, worker: wp.int32,
+        workers: wp.int32,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
@@ -224,7 +224,7 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
                     volume = wet * f.open_area(g, geometry, c, axis) * g.width[axis]
                 if f.is_unknown(kind):
                     if wp.static(serial):
-                        mesh.velocity[r] = from_particles(g, particles, mesh, c, axis, mesh.velocity[r])
+                        mesh.velocity[r] = from_particles(g, mesh, c, axis, mesh.velocity[r])
                     elif totals[axis] > scalar(0.0):
                         mesh.velocity[r] = sums[axis] / totals[axis]
             mesh.kind[r] = kind
