@@ -1,6 +1,6 @@
 """Compact copy of the viscous matrix, for the viscous solves of the preconditioner on a GPU.
 
-Most of the time of a viscous solve passes with reading the matrix. The preconditioner needs the matrix only
+A GPU spends most of the time of a viscous solve on reading the matrix. The preconditioner needs the matrix only
 approximately, so the copy rounds the off-diagonal entries to 16 bits (bfloat16, the upper half of a number in single
 precision). It does not store their columns: a face is coupled with at most ENTRIES other faces, whose places on the
 grid are known.
