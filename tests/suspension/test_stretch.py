@@ -61,7 +61,7 @@ def test_means_over_aggregates_weight_them_by_volume(device):
 
 
 def test_a_fraction_of_less_than_an_aggregate_is_noticed():
-    with pytest.warns(PlausibilityWarning, match=r"aggregate_fraction = 1e-06: only whole .*, and 1 of .* 0\.0139$"):
+    with pytest.warns(PlausibilityWarning, match=r"aggregate_fraction = 1e-06: only whole .* number is 1, .* 0\.0139$"):
         begun("cpu", aggregate_fraction=1e-6)
 
 
@@ -178,7 +178,7 @@ def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
     """The step of a stretch follows from `courant`, and a run lasts for its whole duration."""
     simulation = stretch("cpu")
     with pytest.raises(
-        warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; the limit is 0.3; usual cure: a smaller"
+        warpcrete.InstabilityError, match=r"by 0.4 of an aggregate's radius; the limit is 0.3; usual cure: a smaller"
     ):
         simulation.watch_row({"time": 1.0, "smallest_gap": -0.4})
     assert not simulation.may_end_early

@@ -20,11 +20,12 @@ MIN_CELLS = 3.0
 MAX_GRID = 64
 """Maximum number of cells along an axis of the hash grid that finds neighbouring aggregates."""
 STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
-"""Names of the arrays in `Bodies` on which the next step depends, so that a checkpoint contains them."""
+"""Names of the arrays in `Bodies` that a checkpoint contains, because the next step depends on them."""
 
 
 CONTACT_ARRAYS = ("last_other", "last_normal", "last_force")
-"""Names of the arrays in `Pairs` on which friction in the next step depends, with an entry for each contact."""
+"""Names of the arrays in `Pairs` that a checkpoint contains if there is friction. They hold the neighbour, the normal
+and the normal force of each contact in the last step, on which friction in the next step depends."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Aggregates:
     shape: np.ndarray | None = None
     """Index in `shapes` of each aggregate's shape, shape (n,); None if all have the first shape."""
     turn: np.ndarray | None = None
-    """Orientations of the aggregates as quaternions (x, y, z, w), shape (n, 4); None if none is turned."""
+    """Orientations of the aggregates as quaternions (x, y, z, w), shape (n, 4); None if no aggregate is rotated."""
 
     def __post_init__(self) -> None:
         centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)
@@ -53,7 +54,7 @@ class Aggregates:
             refuse("centre", centre.shape, problem, "give one centre and one radius for each aggregate")
         if not (np.isfinite(centre).all() and np.all(radius > 0)):
             problem = "must be above 0 for all aggregates, and all centres must be finite"
-            refuse("radius", radius.tolist(), problem, "remove or correct the other aggregates")
+            refuse("radius", radius.tolist(), problem, "correct or remove the aggregates that violate this")
         object.__setattr__(self, "centre", centre)
         object.__setattr__(self, "radius", radius)
 
@@ -89,7 +90,7 @@ class Aggregates:
 
 
 class Spheres:
-    """All spheres of the aggregates, sorted by aggregate; m is their number."""
+    """All spheres of the aggregates, sorted by aggregate. In shapes of arrays, m is the number of spheres."""
 
     def __init__(self, aggregates: Aggregates) -> None:
         kinds, size, shapes = aggregates.kinds, aggregates.size, aggregates.shapes
@@ -122,22 +123,27 @@ class Spheres:
 
 
 def _entries(count: np.ndarray) -> np.ndarray:
-    """Return the indices of all contacts in arrays with CAPACITY entries for each sphere.
+    """Return the indices of all entries that describe a contact, in arrays with CAPACITY entries for each sphere.
 
-    `count` is the number of contacts of each sphere; the other entries of the sphere are unused.
+    `count` is the number of contacts of each sphere. They fill the sphere's first entries, and its other entries are
+    unused.
     """
     return np.concatenate([s * int(CAPACITY) + np.arange(n) for s, n in enumerate(count)]).astype(int)
 
 
 def rotated(turn: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return vectors, shape (n, 3), that are rotated by unit quaternions (x, y, z, w), shape (n, 4)."""
+    """Return the vectors `x`, shape (n, 3), rotated by the unit quaternions `turn` (x, y, z, w), shape (n, 4)."""
     axis, part = turn[:, :3], turn[:, 3:]
     across = 2 * np.cross(axis, x)
     return x + part * across + np.cross(axis, across)
 
 
 def is_inside(centres: np.ndarray) -> np.ndarray:
-    """Return a mask of the aggregates that are at least partly in the simulated box; `centres` has the shape (n, 3)."""
+    """Return a mask of the aggregates that are at least partly in the simulated box, shape (n,).
+
+    `centres` are the centres of the aggregates [m], shape (n, 3). An aggregate outside the box has a coordinate whose
+    magnitude is PARKED or more.
+    """
     return np.abs(centres).max(1) < float(PARKED)
 
 

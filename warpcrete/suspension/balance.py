@@ -10,7 +10,7 @@ from ..kernels.suspension.pairs import CAPACITY, WALL
 from .flow import SuspensionFlow
 
 PAIRS = (0, 1), (0, 2), (1, 2)
-"""Pairs of axes, each of which spans a plane of shear, in the order in which the grid stores edges."""
+"""Pairs of axes that span the planes of shear. The grid stores its edges in the order of these pairs."""
 
 
 @dataclass(frozen=True)
@@ -22,18 +22,18 @@ class Balance:
     """
 
     walls: float
-    """Power of moving walls, which act on the mortar by friction and push aggregates."""
+    """Power that moving walls supply by friction on the mortar and by forces on aggregates."""
     weight: float
-    """Power of weight and other external forces."""
+    """Power that weight and other external forces supply."""
     viscous: float
     """Power that the plastic viscosity of the mortar dissipates."""
     yielding: float
     """Power that the yield stress of the mortar dissipates."""
     film: float
-    """Power that is dissipated between mortar and walls: in slip layers, and in the thin film through which walls hold
-    mortar that sticks to them."""
+    """Power that friction between mortar and walls dissipates: in the slip layer, or in the thin film of high viscosity
+    that represents a wall without slip."""
     lubrication: float
-    """Power that the lubrication forces between aggregates dissipate, as far as the grid does not resolve them."""
+    """Power dissipated by those lubrication forces between aggregates that the grid does not resolve."""
     contacts: float
     """Power that is dissipated by contacts between aggregates and by contacts of aggregates with walls, including
     friction. The power that contacts supply to remove overlaps is subtracted."""
@@ -44,7 +44,7 @@ class Balance:
     momentum: float
     """Increase of the momentum of mortar and aggregates in the step, divided by the length of the step."""
     held: float
-    """Momentum of mortar and aggregates at the end of the step [kg m/s]."""
+    """Total momentum of mortar and aggregates at the end of the step [kg m/s]."""
     impulse: float
     """Sum of the forces of walls, weight and other external forces along the last axis of the grid. It equals
     `momentum`, unless a wall normal to this axis adds a pressure force that is not included."""
@@ -83,7 +83,8 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
     """Return forces [N], velocities [m/s] and stiffnesses [N s/m] of the friction at walls at the end of the last step.
 
     The forces act on the walls, and the velocities are the velocities of the walls. The arrays have the shape (3, 3,
-    *shape), for the components of the velocity, the axes across the wall, and the cells.
+    *shape). The first index is the component of force or velocity, the second is the axis along which the wall is
+    crossed, and the others are the indices of the cell.
     """
     field = _Grid(flow)
     velocity, start = field.faces("velocity"), field.faces("start")
@@ -132,7 +133,7 @@ class PairForces:
     contact: np.ndarray
     """Force of the contact along `normal` [N]; positive if it pushes sphere and neighbour apart."""
     rubbing: np.ndarray
-    """Force of the contact's friction on the sphere [N], shape (n, 3)."""
+    """Friction force of the contact on the sphere [N], shape (n, 3)."""
 
     @property
     def force(self) -> np.ndarray:
@@ -190,7 +191,7 @@ def _velocities_at_gaps(
 
 
 class _Grid:
-    """Host copies of the arrays of a grid, without the outer cells at the ends of a periodic axis."""
+    """Host copies of the arrays of a grid. On a periodic axis, the extra layer of cells at each end is left out."""
 
     def __init__(self, flow: SuspensionFlow) -> None:
         self.shape = flow.state.shape
@@ -251,9 +252,10 @@ class _Step:
         )  # fmt: skip
 
     def _inertia(self) -> tuple[float, float, float, float]:
-        """Return kinetic energy gained, kinetic energy damped and momentum gained, per time, and the final momentum.
+        """Return three rates of change in the step, and the momentum at its end [kg m/s].
 
-        The implicit Euler method damps kinetic energy in a step of finite length.
+        The rates are the increase of kinetic energy per time [W], the power that the implicit Euler method removes by
+        numerical damping [W], and the increase of momentum per time [N].
         """
         bodies, clumps = self.flow.aggregates.bodies, self.flow.aggregates.kind.clumps
         heavy, round = (a.numpy().astype(float)[:, None] for a in (bodies.extra_mass, bodies.extra_inertia))
@@ -311,10 +313,10 @@ class _Step:
         return viscous, sum_all - viscous
 
     def _pairs(self) -> tuple[float, float, float, float]:
-        """Return the dissipated powers of lubrication and contacts, the power of walls [W], and the force of walls [N].
+        """Return three powers of the forces on aggregates [W], and the force of walls on aggregates [N].
 
-        Only walls that push aggregates count here. The force of these walls on the aggregates is the component along
-        the last axis of the grid.
+        The powers are dissipated by lubrication, dissipated by contacts, and supplied by walls that push aggregates.
+        The force is the component along the last axis of the grid.
         """
         found = pair_forces(self.flow)
         wall = found.other == int(WALL)

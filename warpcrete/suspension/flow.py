@@ -37,9 +37,9 @@ aggregates. The value was fitted to the approach of two spheres (Brenner 1961) w
 """
 
 PORE_DRAG = 0.2
-"""Constant of the resistance to flow through the pores between aggregates, which the preconditioner of the coupled
-solve assumes. At a face, the resistance is a fraction of the viscous resistance; the constant is this fraction times
-(radius of the aggregates in cells)^2.
+"""Constant in the resistance to flow through the pores between aggregates, which the preconditioner of the coupled
+solve assumes. At a face, this resistance is the viscous resistance times PORE_DRAG / r^2, where r is the radius of the
+smallest aggregate in cell widths.
 
 The constant affects only the number of iterations of the coupled solve. It was chosen to make this number small in
 eight flows.
@@ -116,7 +116,7 @@ class SuspensionStep(GridStep):
         return self._cells(kernel, matrix=system.matrix, projection=system.arrays)
 
     def blocks(self) -> list[Any]:
-        """Return the stages that invert the diagonal block of each aggregate in the matrix of the viscous solve."""
+        """Return the stages that invert the diagonal blocks of each aggregate in the matrix of the viscous solve."""
         kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind, self.flow.aggregates.kind)
         tasks = self.flow.aggregates.count * warp_width(self.flow.device)
         inverse = self._alone(kernel, tasks, matrix=self.flow.viscous.matrix)
@@ -178,7 +178,7 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         # The sides of the box around a pipe lie behind the pipe's wall and behind the plane through which aggregates
-        # enter, so aggregates do not meet them.
+        # enter, so aggregates never touch these sides.
         met = (WALL, MIRROR) if entrance is None else (MIRROR,)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in met)
         # In a vessel, the top of the box, which is the last of its sides, is open as well. Leave it out of the open

@@ -6,12 +6,12 @@ from itertools import product
 import numpy as np
 
 CLEARANCE = 0.02
-"""Minimum gap at the start. Between two spheres it is divided by the mean of their radii, and between a sphere and a
-wall by the sphere's radius."""
+"""Minimum gap between two spheres at the start, divided by the mean of their radii. It is also the minimum gap between
+a sphere and a wall, divided by the sphere's radius."""
 MARGIN = 0.005
-"""Additional gap, beyond CLEARANCE, to which overlapping spheres are pushed apart. Between two spheres it is divided by
-the sum of their radii, and between a sphere and a wall by the sphere's radius. Without this additional gap, overlaps
-would become ever smaller, but never vanish."""
+"""Gap in addition to the gap of CLEARANCE, to which overlapping spheres are pushed apart. Between two spheres the
+additional gap is divided by the sum of their radii, and between a sphere and a wall by the sphere's radius. Without it,
+overlaps would become ever smaller, but never vanish."""
 ITERATIONS = 1000
 """Maximum number of attempts to place spheres clear of walls, and of iterations that push overlapping spheres apart."""
 SWEEPS = 100
@@ -20,7 +20,8 @@ SWEEPS = 100
 Draw = Callable[[np.random.Generator, int], np.ndarray]
 """Function that takes a random number generator and a number n, and returns n random points [m], shape (n, 3)."""
 Distance = Callable[[np.ndarray], np.ndarray]
-"""Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
+"""Function that returns the distance of points, shape (n, 3), from the nearest wall [m], shape (n,). The distance is
+negative for points behind the wall."""
 
 
 def draw_between(low: np.ndarray, high: np.ndarray) -> Draw:
@@ -29,10 +30,11 @@ def draw_between(low: np.ndarray, high: np.ndarray) -> Draw:
 
 
 def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pairs of points closer than `reach`: both indices and the vectors from the first to the second point.
+    """Return the pairs of points whose distance is below `reach` [m], in three arrays.
 
-    Each pair occurs once, with the smaller index first. If `period` is above 0, space repeats itself along the last
-    axis with this length, which must be at least twice `reach`.
+    The arrays hold the index of each pair's first point, the index of its second point, and the vector from the first
+    to the second point [m]. Each pair occurs once, with the smaller index first. If `period` is above 0, space repeats
+    itself along the last axis with this length [m], which must be at least twice `reach`.
     """
     count = len(x)
     origin = np.arange(count)

@@ -16,14 +16,14 @@ MAX_DEVIATION = 0.1
 """Largest relative difference between the volume of the placed aggregates and the volume that the scene's fraction
 requires, above which a warning is given."""
 SHRINK = 0.95
-"""Factor by which the number of spheres is reduced, repeatedly, until all spheres fit. The error message then names the
-volume fraction that fits."""
+"""Factor by which the number of aggregates is reduced repeatedly until all of them fit, if the required number does not
+fit. The error message then states the volume fraction that fits."""
 
 
 def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
     """Return randomly placed aggregates with the volume fraction, the sizes and the shapes of a scene.
 
-    Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
+    Raises :class:`warpcrete.SceneError` if not all aggregates can be placed without overlaps.
     """
     nearest, outline = nearest_wall(layout.room, free_walls(scene)), section_distance(scene, scene.outline)
     origin, width = np.array(layout.room.origin), np.array(layout.room.width)
@@ -47,7 +47,8 @@ def aggregates_within(
     """Return aggregates at random places between the corners `low` and `high` of a box [m], without overlaps.
 
     `volume` is the volume of the concrete [m3], of which the aggregates fill the fraction that the scene states.
-    Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
+    :func:`random_places` explains the other parameters. Raises :class:`warpcrete.SceneError` if not all aggregates can
+    be placed without overlaps.
     """
     rng = np.random.default_rng(seed)
     radii = _radii(scene, volume, rng)
@@ -73,7 +74,8 @@ def _placed(
 ) -> Aggregates | None:  # fmt: skip
     """Return aggregates of a scene at random places without overlaps, or None if they do not fit.
 
-    `radii` are the radii of spheres with the volumes of the aggregates [m].
+    `radii` are the radii of spheres with the volumes of the aggregates [m]. :func:`random_places` explains the other
+    parameters.
     """
     shapes = scene.templates
     if all(len(shape.radii) == 1 for shape in shapes):
@@ -92,8 +94,9 @@ def random_places(
 
     The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
     Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
-    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis. The
-    function `draw` draws the places at the start; None draws them uniformly between the corners.
+    of them in narrow gaps. `distance` returns the distance of points from the nearest wall. If `periodic`, the space
+    from `low` to `high` repeats itself along the last axis. The function `draw` draws the random places at the start;
+    if it is None, they are uniformly distributed between the corners.
     """
     period = high[2] - low[2] if periodic else 0.0
     centres = _start(radii, draw or draw_between(low, high), distance, rng)
@@ -177,8 +180,8 @@ def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.n
     """Return random radii [m], largest first, of as many aggregates as the scene's volume fraction requires.
 
     The radii belong to spheres with the volumes of the aggregates. From a sieve curve, only sizes that the cells
-    resolve are drawn. There is at least one aggregate. Warn if the volume of whole aggregates differs from the wanted
-    volume by more than `MAX_DEVIATION`.
+    resolve are drawn. There is at least one aggregate. Warn if the volume of the aggregates differs from the required
+    volume by more than the fraction `MAX_DEVIATION`.
     """
     wanted = scene.simulated_fraction * volume
     curve = None if scene.sieve is None else scene.sieve.above(scene.diameters[0])
@@ -190,9 +193,9 @@ def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.n
         if filled + 0.5 * own > wanted and radii:
             if abs(filled / wanted - 1) > MAX_DEVIATION:
                 placed = scene.simulated_fraction * filled / wanted
-                goal = f" instead of {scene.simulated_fraction:.3g}, the part that the cells resolve" if curve else ""
-                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: only whole aggregates are placed, and "
-                     f"{len(radii)} of these sizes give a fraction of {placed:.3g}{goal}")  # fmt: skip
+                goal = f" instead of {scene.simulated_fraction:.3g}, which the cells resolve" if curve else ""
+                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: only whole aggregates can be placed; their "
+                     f"number is {len(radii)}, with a volume fraction of {placed:.3g}{goal}")  # fmt: skip
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
         filled += own

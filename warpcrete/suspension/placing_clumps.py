@@ -20,18 +20,22 @@ class _Packing:
         self.extent = np.maximum.reduceat(reach, self.parts.first[:-1])
 
     def spheres(self, centre: np.ndarray | None = None, turn: np.ndarray | None = None) -> np.ndarray:
-        """Return the centres of all spheres, shape (m, 3), for clumps with the given `centre` and `turn`.
+        """Return the centres of all spheres [m], shape (m, 3).
 
-        The default values are the present places and orientations of the clumps.
+        `centre` and `turn` are the centres [m], shape (n, 3), and the orientations, shape (n, 4), of the clumps. The
+        present ones are used where an argument is None.
         """
         return self.parts.centres(self.centre if centre is None else centre, self.turn if turn is None else turn)
 
     def any_of(self, spheres: np.ndarray) -> np.ndarray:
-        """Return which clumps contain a marked sphere; the masks have the shapes (n,) and (m,)."""
+        """Return a mask of the clumps that contain a marked sphere, shape (n,).
+
+        `spheres` is the mask of the marked spheres, shape (m,).
+        """
         return np.logical_or.reduceat(spheres, self.parts.first[:-1])
 
     def start(self, draw: Draw) -> bool:
-        """Move all clumps to random places within the walls, and return whether all have found one."""
+        """Move all clumps to random places where they overlap no wall, and return whether this succeeded for all."""
         left = np.ones(self.count, bool)
         for _ in range(ITERATIONS):
             number = int(left.sum())

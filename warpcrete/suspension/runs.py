@@ -13,12 +13,12 @@ SOLVE_BYTES = 4 * (8 * 64 + 24)
 """Memory per cell that the coupled solve of mortar and aggregates needs [bytes], in single precision.
 
 With each search direction, the solve stores the direction's product with the matrix. A direction and its product have
-eight numbers for each cell. The memory is sufficient for 64 directions; hardly any solve needs more than 60 iterations.
+eight numbers for each cell. This memory holds 64 directions; hardly any solve needs more than 60 iterations.
 A GPU also stores a compact copy of the viscous matrix, with 24 numbers for each cell.
 """
 DEEPEST = 0.3
-"""Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error. The overlap is
-divided by the radius of the aggregate."""
+"""Overlap of an aggregate with another one or with a wall, divided by the radius of the aggregate, above which the run
+stops with an error."""
 UNITS = {"smallest_gap": "1", "coupled_error": "1"}
 """Units of the columns that describe aggregates in every run."""
 
@@ -45,8 +45,8 @@ class AggregateRun(FlowRun):
         super().watch_row(row)
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(
-                f"two aggregates, or an aggregate and a wall, overlap by {-row['smallest_gap']:.2g} of a radius; the "
-                f"limit is {DEEPEST:g}",
+                f"two aggregates, or an aggregate and a wall, overlap by {-row['smallest_gap']:.2g} of an aggregate's "
+                f"radius; the limit is {DEEPEST:g}",
                 time=row["time"],
                 cure=self.cure,
             )

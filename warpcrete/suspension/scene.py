@@ -22,12 +22,12 @@ diameters wide."""
 
 WITH_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0")
 USED_BY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", refused=False)
-"""Rule for a property of aggregates. A study may state the property for its case without aggregates, too, where it has
-no effect."""
+"""Rule for a parameter that describes aggregates. A study may state the parameter also for a case without aggregates,
+where it has no effect."""
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
 USUAL_CELLS = 4.0
-"""Default size of the smallest aggregates, as the number of cells across the narrowest shape."""
+"""Default number of cells across the narrowest side of the smallest aggregates."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -35,7 +35,7 @@ class SphereFields:
     """Fields of a scene that describe its aggregates."""
 
     spacing: float
-    """Wanted width of the cells [m]."""
+    """Requested width of the cells [m]. The actual width may differ, because a whole number of cells must fit."""
     aggregate_fraction: float
     """Volume of the aggregates divided by the volume of the concrete."""
     aggregate_diameters: tuple[float, float]
@@ -43,7 +43,7 @@ class SphereFields:
     aggregate_density: float
     """Density of the aggregates [kg/m3]."""
     roughness: float
-    """Gap below which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 + R2)."""
+    """Gap below which two aggregates with the radii R1 and R2 count as touching, divided by R1 R2 / (R1 + R2)."""
     friction: float = 0.0
     """Coefficient of friction of aggregates with each other and with walls."""
     aggregate_shapes: str = "spheres"
@@ -74,12 +74,12 @@ class SphereFields:
 
     @property
     def resolved(self) -> float:
-        """Diameter of a sphere with the volume of the smallest aggregates that the cells resolve [m]."""
+        """Size of the smallest aggregates that the cells resolve [m], as the diameter of a sphere of equal volume."""
         return MIN_CELLS * self.cell_width / self.narrowest_shape
 
     @property
     def simulated_fraction(self) -> float:
-        """Volume fraction of the stated aggregates that are simulated; the others count as mortar."""
+        """Volume of the simulated aggregates per volume of concrete. Aggregates that are too small count as mortar."""
         return self.aggregate_fraction * (1.0 if self.sieve is None else self.sieve.retained(self.resolved))
 
     @property
@@ -94,8 +94,9 @@ class SphereFields:
         if self.sieve is not None:
             finest, largest = self.resolved, self.sieve.largest
             if largest <= finest:
-                refuse("spacing", self.spacing, f"is too coarse: aggregates below {finest:.3g} m count as mortar, but "
-                                                f"the largest stones of the sieve curve have {largest:g} m",
+                refuse("spacing", self.spacing, f"is too coarse: aggregates below {finest:.3g} m count as mortar, and "
+                                                f"even the largest stones of the sieve curve, {largest:g} m, are "
+                                                "smaller",
                        f"use {self.spacing * largest / finest / 2:.2g} m or less")  # fmt: skip
             return
         smallest, largest = self.aggregate_diameters
@@ -123,12 +124,12 @@ class SuspensionScene(SphereFields, FreeScene):
 
     @property
     def fluid(self) -> FreeScene:
-        """This scene with the mortar alone, without aggregates."""
+        """Scene of the same vessel that contains only the mortar, without aggregates."""
         return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
 
     @property
     def whole_concrete(self) -> Concrete:
-        """Concrete of mortar and aggregates, for closed forms; its constants are estimates by homogenisation."""
+        """Concrete of mortar and aggregates, for closed-form solutions. Its constants follow from homogenisation."""
         return concrete_of_mortar(self.concrete, self.simulated_fraction, self.aggregate_density)
 
     def __repr__(self) -> str:
@@ -192,7 +193,7 @@ class AggregateParameters(Declared):
     def diameters(self) -> tuple[float, float]:
         """Smallest and largest diameter of the aggregates [m], if `aggregate_sizes` is uniform."""
         narrowest = min(float(shape.widths.min()) for shape in templates(self.aggregate_shapes))
-        # Every scene with aggregates declares the parameter `spacing`, with a default of its own.
+        # Every scene with aggregates declares the parameter `spacing`; its default differs from scene to scene.
         usual = USUAL_CELLS * float(vars(self)["spacing"]) / narrowest
         smallest = self.aggregate_smallest or min(usual, self.aggregate_largest or usual)
         return smallest, self.aggregate_largest or smallest

@@ -31,7 +31,7 @@ from .directions import CHUNK, Directions
 CPU_TASKS = 32
 """Number of tasks that share the faces of the grid in a solve on a CPU."""
 GPU_TASKS = 64 * BLOCK
-"""Smallest number of tasks that share the faces of the grid on a GPU, which otherwise gets a task for every cell."""
+"""Minimum number of tasks that share the faces of the grid on a GPU. A larger grid has about as many tasks as cells."""
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 """Smallest residual that rounding errors allow, divided by the largest residual of the step, by precision."""
 NEGLIGIBLE = 0.1
@@ -45,8 +45,8 @@ error of the solve falls below ROUGH_ERROR. The velocities are not yet accurate 
 if it would overlap even at the fraction CERTAIN of its speed of approach. In 50 steps of five flows, no pair was put in
 contact that would not have been in contact after the solve."""
 KEPT_DIRECTIONS = 60
-"""Largest number of search directions that a repeated solve reuses. If the solve before it stored more, they are
-discarded, because memory and the work to orthogonalise further directions would grow with each repetition."""
+"""Largest number of search directions that a repeated solve reuses. If the previous solve has stored more directions,
+all of them are discarded, because memory and the work of orthogonalisation would grow with each repetition."""
 VISCOUS, CHECKED = 0.5, 7
 """Accuracy of the viscous solves of the preconditioner.
 
@@ -119,7 +119,8 @@ class CoupledSolve:
         self.yielding = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
         self.inverse = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
-        # A CPU reads the rows of the exact matrix one after the other, which is fast enough.
+        # Only a GPU uses a compact copy of the viscous matrix. A CPU reads the rows of the exact matrix one after the
+        # other, which is fast enough.
         self.compact: Any = None
         if not serial:
             sizes = {"entries": 3 * ENTRIES // 2 * slots, "diagonal": 3 * slots}
@@ -378,7 +379,8 @@ class CoupledSolve:
         for number in range(self.tolerances.inner):
             if number % CHECKED == 0:
                 sums = self.sums.numpy()
-                # With the rounded matrix, the curvature p.Ap along a direction p might not be positive. Then end too.
+                # The solve also ends if p.Ap is not positive for a search direction p, which the rounding errors of the
+                # compact matrix A may cause.
                 if sums[int(RZ)] <= VISCOUS**2 * sums[int(RZ_FIRST)] or (number > 0 and sums[int(PQ)] <= 0.0):
                     return
             self._launch(multiply, self.tasks, direction=self.direction, result=self.product)

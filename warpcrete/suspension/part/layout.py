@@ -17,11 +17,11 @@ from ..placing import aggregates_within
 from .scene import PartSuspensionScene
 
 MARGIN_CELLS = 2
-"""Number of cells between the plane through which aggregates enter and the place behind it at which an entering
-aggregate is added to the simulated box."""
+"""Distance in cell widths at which an entering aggregate is added to the simulated box. It is the distance between the
+plane through which aggregates enter and the front of the aggregate, which is still upstream of this plane."""
 STRETCHES = 400
-"""Number of stretches into which the pipe's axis is divided to draw random places for aggregates. The probability of a
-stretch is proportional to its volume."""
+"""Number of stretches into which the pipe's axis is divided to draw random places for aggregates. A place lies in a
+stretch with a probability proportional to the volume of the stretch."""
 
 
 def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Aggregates, Entrance]:
@@ -29,7 +29,7 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
 
     The aggregates upstream enter the part during the run. Returns all aggregates and this plane.
 
-    Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
+    Raises :class:`warpcrete.SceneError` if not all aggregates can be placed without overlaps.
     """
     velocity = np.array(layout.inflow)
     speed, largest = float(np.linalg.norm(velocity)), scene.diameters[1] / 2
@@ -71,10 +71,10 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
 def _times(
     aggregates: Aggregates, along: Distance, speed: float, scene: PartSuspensionScene, layout: GridLayout
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times at which aggregates have entered entirely, and from which they are in the simulated box [s].
+    """Return two times for each aggregate [s]: when it has entered entirely, and when it is added to the simulated box.
 
-    `along` gives the arc lengths of points [m], and `speed` is the speed of the plane through which aggregates enter
-    [m/s]. An aggregate has entered when it does not touch the plane any more.
+    `along` returns the arc lengths of points [m], and `speed` is the speed of the plane through which aggregates enter
+    [m/s]. An aggregate has entered entirely as soon as it no longer touches the plane.
     """
     parts = Spheres(aggregates)
     depth = along(parts.centres(aggregates.centre, aggregates.turns))

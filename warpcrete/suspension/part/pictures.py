@@ -10,9 +10,9 @@ from ...mps.part.pictures import plot_part
 
 
 def plot_part_with_aggregates(run: Run) -> Any:
-    """Return a figure of the pressures, as `plot_part` draws it, with the fraction of aggregates along the axis.
+    """Return the figure that `plot_part` draws of the pressures, and add the fraction of aggregates along the axis.
 
-    The loss and the fraction along the axis are means over the last half of the run.
+    The pressure loss and the fraction along the axis are means over the last half of the run.
     """
     figure = plot_part(run)
     along = figure.axes[0]

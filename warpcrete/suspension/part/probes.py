@@ -98,8 +98,7 @@ class Census:
         ends = np.sort(self.place[np.stack([own, other])], axis=0)
         middle = np.clip(ends.mean(0), 0, scene.axis.length)
         tangent = scene.axis.at(middle)[1] @ self.frame.axes.T
-        # The sign of the normal's component along the pipe's axis tells on which side of the cross-section the sphere
-        # lies.
+        # The component of the normal along the pipe's axis is positive if the sphere is upstream of its neighbour.
         upstream = np.sign(np.sum(found.normal[between] * tangent, 1))
         pushing = -upstream * np.sum(found.force[between] * tangent, 1)
         # Two aggregates that have both entered occur twice as a pair. A pair with an aggregate that is still entering
@@ -109,12 +108,13 @@ class Census:
         return np.sum(np.where((ends[0] < s[:, None]) & (ends[1] >= s[:, None]), stress, 0.0), axis=1)
 
     def slowest(self, before: np.ndarray, travel: float) -> float:
-        """Return how far the slowest aggregates have advanced, divided by the advance of the inflow `travel` [m].
+        """Return how far the slowest aggregates have moved since the previous measurement, divided by `travel`.
 
-        `before` holds the arc lengths of the aggregates at the previous measurement [m]. The advance of an aggregate is
-        multiplied by the area of the bore around it and divided by the area at the start of the part, so that concrete
-        which flows evenly through a taper advances by the same amount everywhere. The function `least_advance` finds
-        the slowest aggregates; simulations with discrete elements use it as well.
+        `travel` is the distance by which the inflow has advanced in this time [m]. `before` holds the arc lengths of
+        the aggregates at the previous measurement [m]. The distance of an aggregate is multiplied by the area of the
+        bore around it and divided by the area at the start of the part, so that the result is 1 everywhere if concrete
+        flows evenly through a taper. The function `least_advance` finds the slowest aggregates; simulations with
+        discrete elements use it as well.
         """
         if travel <= 0:
             return 1.0
@@ -131,9 +131,9 @@ class Census:
 def measured(census: Census, before: np.ndarray, travel: float) -> tuple[dict[str, float], np.ndarray]:
     """Return the values of one row of the time series, and profiles along the part, shape (3, stations).
 
-    The profiles are the arc lengths of the stations [m], the loss from each station to the end of the part [Pa], and
-    the volume fraction of aggregates there. `before` holds the arc lengths of the aggregates at the previous
-    measurement [m]. The inflow has advanced by `travel` [m] since then.
+    The profiles are the arc lengths of the stations [m], the frictional loss from each station to the end of the part
+    [Pa], and the volume fraction of aggregates around each station. `before` holds the arc lengths of the aggregates at
+    the previous measurement [m]. The inflow has advanced by `travel` [m] since the previous measurement.
     """
     flow = census.flow
     friction = census.friction()

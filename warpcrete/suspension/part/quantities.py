@@ -15,13 +15,15 @@ from .blockage import is_blocked
 from .scene import PartSuspensionScene
 
 LATE = 0.5
-"""Last fraction of the simulated time, over which results are averaged because the pressure fluctuates."""
+"""Fraction of the simulated time, counted back from its end, over which results are averaged. Averages are needed
+because the pressure fluctuates."""
 BLOCKS = 5
-"""Number of equal parts of the last half of the run, whose means give the standard error of a mean over this half."""
+"""Number of equal parts into which the last half of the run is divided. The standard error of a mean over this half
+follows from the scatter of the means over these parts."""
 
 
 def late_rows(time: np.ndarray) -> np.ndarray:
-    """Return a mask of the rows of a time series over which results are averaged, from the rows' times [s]."""
+    """Return a mask of the rows of a time series over which results are averaged; `time` holds their times [s]."""
     return (time > 0) & (time >= (1 - LATE) * time[-1])
 
 
@@ -101,8 +103,9 @@ QUANTITIES = (
     Quantity("blocked_pressure", "Pa", lambda k: k.if_blocked(k.at_end("pressure")),
              meaning="Pressure at the inlet at the end of a blocked run", only_if=BLOCKED),
 )  # fmt: skip
-"""Results of a part with aggregates. Pressures and losses are means over the last half of the run. Values by theory
-hold for the mortar alone. Results of a blockage have the same names as in simulations with discrete elements."""
+"""Results of a part with aggregates. Pressures and losses are means over the last half of the run. Theoretical values
+hold for mortar without aggregates. Results of a blockage have the same names as in simulations with discrete elements.
+"""
 
 
 def report_part(run: Run) -> Iterator[tuple[str, str]]:

@@ -60,7 +60,7 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
 
     @property
     def standing_travel(self) -> float:
-        """Travel of the inflow during which part of the aggregates must stand still in a blocked pipe [m]."""
+        """Distance of inflow [m] during which some aggregates must stand still, so that the pipe counts as blocked."""
         return self.blocked_travel or self.diameters[1]
 
     @property

@@ -83,7 +83,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
 
     @property
     def fraction(self) -> float:
-        """Volume fraction of the placed aggregates in the concrete, both in the part and in the pipe before it."""
+        """Volume fraction of the placed aggregates in the concrete, in the part and in the pipe upstream of it."""
         return self.scene.simulated_fraction
 
     def sizes(self) -> dict[str, Any]:
@@ -96,15 +96,16 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return place, friction
 
     def _late(self) -> np.ndarray:
-        """Return arc lengths [m], and losses [Pa] and fractions of aggregates there, shape (3, stations).
+        """Return mean profiles along the part over the last half of the run, shape (3, stations).
 
-        The losses and fractions are means over the rows of the last half of the run.
+        The rows are the arc length of each station [m], the frictional loss from the station to the end of the part
+        [Pa], and the volume fraction of aggregates around the station.
         """
         late = late_rows(np.array([row["time"] for row in self._rows]))
         return np.mean(np.array(self._profiles)[late], axis=0)
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result, and a table of means of pressure and fraction along the part."""
+        """Return the entries of the result, and a table with mean pressure and aggregate fraction along the part."""
         result, tables = super().outcome(series)
         place = blocked_place(self.scene, *self._profiles[-1][:2])
         result |= results_of(QUANTITIES, SuspensionData(self.scene, series, place))
@@ -115,7 +116,10 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return result, tables | {"stations": with_fraction}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the flow, all rows of the time series and profiles, and the places of the aggregates."""
+        """Return the state of the flow, all rows of the time series, and all profiles measured along the part.
+
+        The arc lengths of the aggregates at the last measurement [m] are included.
+        """
         return super().state_dict() | {"profiles": np.array(self._profiles), "places": self._places}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

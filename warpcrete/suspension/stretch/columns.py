@@ -27,10 +27,10 @@ DEPTH_SIZES = 4.0
 DURATION = 1.0
 """Simulated time of a flow with aggregates unless the user states it [s]."""
 UNUSED = ("time_step", "step_error", "steadiness", "rest", "rebuild_rate", "tolerated_error", "slip_thickness")
-"""Parameters of a column of concrete that have no effect in flows with aggregates. A scene with aggregates must leave
-each of them at its default."""
+"""Parameters of a column of concrete that have no effect in flows with aggregates. Values other than the defaults are
+therefore refused in a scene with aggregates."""
 ANY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", ("aggregates",), refused=False)
-"""Rule for a parameter of aggregates, which are simulated either one by one or as groups of particles."""
+"""Rule for a parameter that applies to both models of aggregates: rigid bodies on a grid, and groups of particles."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,7 +47,10 @@ class StretchDisplay(SphereDisplay):
 
     @cached_property
     def _gap(self) -> np.ndarray:
-        """Distance of each cell's centre from the wall, in cells and limited to half a cell, first axis first."""
+        """Distance of each cell's centre from the wall in cell widths, positive inside the pipe.
+
+        Values are limited to half a cell width. The indices of the array are those along the axes x, y and z.
+        """
         layout = self._layout
         middles = layout.room.places([0.5] * 3)[1:-1, 1:-1, 1:-1]
         gap = self._scene.radius - self._scene.aside(middles[..., 0], middles[..., 1])
@@ -88,7 +91,7 @@ class StretchDisplay(SphereDisplay):
         return (driven, Plot("migration", "Aggregates", (radius,)))
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return plots over the radius: velocity, with the theory for mortar alone, and fraction of aggregates."""
+        """Return plots over the radius: velocities of the run and of mortar alone by theory, and aggregate fraction."""
         return (Profile("velocity", "Velocity [m/s] over the radius [mm]", (
             Points("this run", lambda: self._velocities()[0], RUN),
             Points("mortar alone, theory", lambda: self._velocities()[1], THEORY),
@@ -105,7 +108,7 @@ class StretchDisplay(SphereDisplay):
         return 1e3 * radius, self.snapshot_value("fractions", lambda: fraction_profile(self.simulation.flow))
 
     def walls(self) -> list[DrawnWall]:
-        """Return the wall of the pipe, drawn a little outside the mortar, so that both can be told apart."""
+        """Return the wall of the pipe, slightly wider than the mortar, so that both surfaces remain visible."""
         scene = self._scene
         if scene.depth:
             return [self._plane(side) for side in (-1, 1)]
@@ -114,7 +117,10 @@ class StretchDisplay(SphereDisplay):
         return [DrawnWall("wall", vertices, faces, False, GLASS)]
 
     def _plane(self, side: int) -> DrawnWall:
-        """Return one of the two planes of a flow between planes, a little outside the mortar."""
+        """Return one of the two walls of a flow between planes, slightly outside the mortar.
+
+        `side` is -1 for the wall at x = -radius and 1 for the wall at x = radius.
+        """
         scene = self._scene
         y, z = (np.array(values) for values in ((0.0, scene.depth, scene.depth, 0.0), (0.0, 0.0) + 2 * (scene.length,)))
         corners = np.stack([np.full(4, side * (1 + WALL_GAP) * scene.radius), y, z], 1)

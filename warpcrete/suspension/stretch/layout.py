@@ -21,7 +21,7 @@ MARGIN = 2
 
 
 def stretch_room(scene: StretchScene) -> Room:
-    """Return the box of cells around the stretch; a whole number of cells fits into its radius, depth and length."""
+    """Return the box of cells around the stretch. A whole number of cells fits into radius, depth and length."""
     rings = round(scene.radius / scene.spacing)
     if scene.depth:
         counts = 2 * rings, round(scene.depth / scene.spacing), round(scene.length / scene.spacing)

@@ -59,7 +59,7 @@ def _ring_count(flow: SuspensionFlow) -> int:
 def velocity_profile(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return mean distances from the axis [m] and mean velocities along the pipe [m/s], for rings one cell wide.
 
-    The velocities are means over mortar and aggregates together.
+    Each velocity is the mean over mortar and aggregates in its ring.
     """
     (radius, ring), count = _columns(flow), _ring_count(flow)
     (speed, part), inside = _along(flow), ring < count
@@ -69,7 +69,11 @@ def velocity_profile(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _along(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return the velocities along the pipe [m/s] and the open fractions of the faces across it, shape (nz, ny, nx)."""
+    """Return velocities and open fractions of the faces perpendicular to the pipe, each of shape (nz, ny, nx).
+
+    The velocities are the components along the pipe [m/s]. The open fraction is the part of a face's area that lies
+    inside the pipe.
+    """
     inner = (slice(1, -1),) * 3
     part = flow.geometry.part.numpy().astype(float).reshape(3, *flow.state.shape)[2]
     return flow.state.faces("velocity")[2][inner], part[inner]
@@ -121,9 +125,10 @@ def has_core(scene: StretchScene) -> bool:
 def core(scene: StretchScene, radius: np.ndarray, velocity: np.ndarray, gradient: float) -> tuple[float, float]:
     """Return the relative viscosity of the suspension around the axis, and its apparent slip velocity [m/s].
 
-    Both follow from a parabola that is fitted to the velocities in the core, weighted by area. The core reaches to
-    within one mean diameter of an aggregate from the wall. The slip velocity is the value of the parabola at the wall.
-    `gradient` is the pressure gradient of the friction [Pa/m].
+    Both follow from a parabola that is fitted to the velocities in the core, weighted by area. The core is the region
+    whose distance from the wall exceeds the mean diameter of the aggregates. The slip velocity is the value of the
+    parabola at the wall. `velocity` holds the velocities [m/s] at the distances `radius` from the axis [m], and
+    `gradient` is the pressure gradient that balances friction [Pa/m].
     """
     inside = radius < scene.radius - scene.mean_diameter
     weight = np.ones(inside.sum()) if scene.depth else np.sqrt(radius[inside])

@@ -12,7 +12,7 @@ from ..quantities import aggregate_lines
 from .scene import StretchScene
 
 LATE = 0.5
-"""Last fraction of the simulated time, over which velocities are averaged."""
+"""Fraction of the simulated time, counted back from its end, over which velocities are averaged."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class RunData:
 
 
 def _fixed(value: Callable[[RunData], float | None]) -> Callable[[RunData], float | None]:
-    """Return the function `of`, changed to return None unless the driving force keeps the mean velocity constant."""
+    """Return a function that calls `value` if the driving force keeps the mean velocity constant, else returns None."""
     return lambda k: None if k.scene.mean_velocity is None else value(k)
 
 

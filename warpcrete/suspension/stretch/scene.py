@@ -76,19 +76,20 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     length: float
     """Length of the stretch [m]."""
     gradient: float
-    """Pressure gradient that drives the flow, in addition to that of the weight of mortar and aggregates [Pa/m]."""
+    """Pressure gradient that balances friction [Pa/m]. The gradient that balances the weight of mortar and aggregates
+    is not included."""
     slips: bool
     """True if mortar slips on the wall with its slip layer; False if it sticks to the wall."""
     mean_velocity: float | None = None
     """Mean velocity that the driving force keeps constant [m/s]; `gradient` is then the gradient by theory for the
     mortar alone. None if the pressure gradient is constant."""
     depth: float = 0.0
-    """For a flow between two planes at x = -radius and x = radius, the extent along y [m], which ends at planes of
-    symmetry; 0 for a round pipe."""
+    """Extent along y [m] of a flow between two walls at x = -radius and x = radius; it ends at planes of symmetry. The
+    value is 0 for a round pipe."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
-    such function."""
+    """Arguments of the function that created this scene, so that the scene can be created again; empty if the scene was
+    not created by such a function."""
 
     step_error: ClassVar[float] = 0.0
     """Allowed error of a time step; 0, because all time steps have the same length and do not adapt to an error."""
@@ -142,12 +143,15 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
 
     @property
     def ways(self) -> int:
-        """Pressure gradient times radius, divided by the stress at the wall: 2 in a pipe, 1 between planes."""
+        """Constant c in the balance of forces, pressure gradient times radius = c times wall stress.
+
+        It is 2 in a round pipe, and 1 between two planes.
+        """
         return 1 if self.depth else 2
 
     @property
     def wall_area(self) -> float:
-        """Area of the wall, or of both planes [m2]."""
+        """Area of the pipe's wall, or of both planes in a flow between planes [m2]."""
         return self.length * (2 * self.depth if self.depth else 2 * math.pi * self.radius)
 
     def aside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -182,8 +186,8 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         (Szymanski 1932), but with a driving force that is reduced by the yield stress.
 
         A slip layer with a yield stress delays the start. At first, the slip velocity is as low as if the mortar stuck
-        to the wall. Each step uses the ratio of friction to slip velocity from the step before. The slip velocity
-        therefore grows in a step by at most the ratio of the wall stress to the yield stress of the layer.
+        to the wall. Each step uses the ratio of friction to slip velocity from the step before. In a step, the slip
+        velocity therefore grows at most by a factor, which is the wall stress divided by the layer's yield stress.
         """
         layer = self.slips and self.concrete.slip_yield > 0
         held = self.ways * (least_stress(self.concrete, self.line) if self.slips else self.concrete.yield_stress)
@@ -229,7 +233,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
 
     @property
     def mean_diameter(self) -> float:
-        """Mean diameter of the aggregates [m]."""
+        """Mean of the smallest and the largest diameter of the aggregates [m]."""
         return math.fsum(self.diameters) / 2
 
     def __repr__(self) -> str:
