@@ -67,7 +67,8 @@ _INSTEAD = {
     "run": "; write warpcrete.Simulation(scene, device='cpu').run()",
     "resume": "; execute the lines that began the run again, or use 'warpcrete run --resume FOLDER'",
 }
-"""Hints about names that users may expect in this package."""
+"""Hints for names that users may look for in this package but that it does not contain. An error message ends with the
+hint for the missing name."""
 
 
 def __getattr__(name: str) -> Any:

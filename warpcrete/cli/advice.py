@@ -17,10 +17,13 @@ def chosen(
 ) -> dict[str, Any]:
     """Return the parameters to change so that the run reaches the requested accuracy in the shortest time.
 
-    The parameters come from an earlier measurement of the trade-off between speed and accuracy, which is in the folder
-    `trade` or comes with the package. The function prints the chosen settings and their expected error to stderr. It
-    also prints the parameters in which the scene differs from the measured scene, because the error may be larger
-    there. Raises :class:`click.UsageError` if no measurement is available or `accuracy` is not a percentage.
+    The settings were found in an earlier measurement of speed and accuracy. `trade` is the folder of this measurement;
+    if it is None, use the measurement of a similar scene that comes with the package. `name`, `module` and `parameters`
+    describe the scene of the run: its name, its Python module and the parameters that the user set.
+
+    The function prints the chosen settings and their expected error to stderr. It also prints the parameters in which
+    the scene differs from the measured scene, because the error may be larger for this scene. Raises
+    :class:`click.UsageError` if no measurement is available or `accuracy` is not a percentage.
     """
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': has no effect without --accuracy; add, for example, --accuracy 5%")

@@ -66,7 +66,7 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
 
 
 def report(found: Calibration) -> None:
-    """Print the tables of results, notes on parameters that the data do not determine, and the path of the folder."""
+    """Print the tables of a calibration, the parameters that the data do not determine, and the path of its folder."""
     click.echo()
     if found.posterior is not None:
         click.echo("\n".join([*parameter_table(found), "", *target_table(found), ""]))

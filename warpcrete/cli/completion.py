@@ -30,7 +30,7 @@ def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
 
 
 def with_units(units: Iterable[str], incomplete: str) -> list[CompletionItem]:
-    """Return the typed number followed by each of the `units`; nothing if no number has been typed."""
+    """Return the typed number followed by each of the `units`; return an empty list if no number has been typed."""
     typed = NUMBER.fullmatch(incomplete)
     return [] if typed is None else names([typed[1] + unit for unit in units], typed[1] + typed[2])
 
@@ -79,7 +79,7 @@ def papers(incomplete: str) -> list[CompletionItem]:
 
 
 def compared(incomplete: str) -> list[CompletionItem]:
-    """Complete a column or row of the report on Zhan et al., for `warpcrete reproduce --only`."""
+    """Complete a column or row of the report that compares runs with the paper by Zhan et al. (`reproduce --only`)."""
     from ..studies.reproduction.reproduce import names_of_parts
 
     return names(map(hyphenated, names_of_parts()), incomplete)

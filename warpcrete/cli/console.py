@@ -1,4 +1,4 @@
-"""Preparation of the command line's output streams for terminals that are closed or show few characters."""
+"""Preparation of the command line's output streams for terminals that are closed or cannot show all characters."""
 
 import io
 import os

@@ -30,5 +30,5 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def _announce(text: str) -> None:
-    """Print a note to standard error while the user waits; the answer goes to standard output."""
+    """Print a note to standard error while the user waits for the result, which is printed to standard output."""
     click.echo(text, err=True)

@@ -53,7 +53,11 @@ the other amounts have customary US units."""
 
 
 def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:
-    """Print the pressure that a pipeline needs, by theory or by simulation."""
+    """Print the pressure that a pipeline needs, by theory or by simulation.
+
+    `line` is the name or file of the pipeline; None for a straight pipeline that options describe. The other arguments
+    are the values of the command's options.
+    """
     _check_rest(settings["rest"])
     rest, grown = (option_amount(key, settings[key], u) for key, u in (("rest", "s"), ("thixotropy", "Pa/s")))
     _check_options(method, simulate, theory, settings)
@@ -130,7 +134,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
 
 
 def _stated(name: str, settings: Mapping[str, Any]) -> str:
-    """Return the name and the value of an option for a message, with quotes around texts: "gauge = '1 bar'"."""
+    """Return the name and the value of an option for a message, such as "gauge = '1 bar'", with quotes around texts."""
     value = settings[name]
     return f"{name} = {quoted(str(value) if isinstance(value, Path) else value)}"
 
@@ -144,9 +148,10 @@ def _check_rest(stated: str | None) -> None:
 
 
 def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, Any]) -> list[str]:
-    """Return the names of options that the user stated and that need a flow, such as '--rest'.
+    """Return those options in the user's command that need a flow, such as '--rest'.
 
-    `out` is the folder for the result; the option `--out` counts only if it is not None.
+    `settings` holds the value of each option. `out` is the folder for the result; the option `--out` counts only if
+    `out` is not None.
     """
     names = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
     chosen = [name for name in names if settings[name] is not None]
@@ -239,10 +244,11 @@ def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
 
 
 def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:
-    """Return what is known of the slip layer before a fit: two concretes, or None.
+    """Return two concretes that bound the slip layer before it is fitted to pressures, or None.
 
-    The slip layers of the two concretes are at the lower and at the upper end of the layer's uncertainty band. The
-    result is None if the mix states the layer, because that layer may come from an earlier fit to the same pressures.
+    Their slip layers are at the lower and at the upper end of the layer's uncertainty band. `layer` is the result of
+    :func:`_layer`. The result is None if the mix states the layer, because that layer may come from an earlier fit to
+    the same pressures.
     """
     if given.mix is not None and given.mix.given.layer != Layer():
         return None
@@ -258,8 +264,9 @@ def _simulated(
 ) -> bool:  # fmt: skip
     """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed.
 
-    With `unless_known`, only parts whose friction cannot be found without a simulation are simulated. For the other
-    parts, the friction comes from the line's file, a model, or the package's table of parts that were simulated before.
+    With `unless_known`, only parts whose friction cannot be found without a simulation are simulated. The friction of
+    all other parts comes from the line's file, a model, or the package's table of parts that were simulated before.
+    `stop` is a rest of the concrete, after which the line restarts; None for no rest.
     """
     if given.guessed:
         raise click.UsageError(
@@ -289,9 +296,9 @@ def _finish(
     """Print the report on a pump line, and write it to the file line.md in `folder`.
 
     The report consists of the lines of text in `said`, the pressures for other estimates of the slip layer, and the
-    verdicts of the rules against blocking. The file is written before the report is printed, so that it is complete
-    even if the output cannot be written. With `--blocking`, the probability of a blockage is then simulated, printed
-    and added to the file.
+    verdicts of the rules against blocking. The file is written before the report is printed, so the file is complete
+    even if printing fails. With the option `--blocking`, the probability of a blockage is then simulated, printed and
+    added to the file.
     """
     said = [*said, *([] if settings["fit"] is not None else _other_layers(line, given)), "",
             *_rules(line, given.mix, folder)]  # fmt: skip
@@ -307,7 +314,7 @@ def _finish(
 
 
 def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
-    """Return lines of text on the other estimates of the slip layer that the mix allows, with the pressure for each."""
+    """Return lines of text on each slip layer that the mix allows besides the one used, with the resulting pressure."""
     found = []
     for eta, tau in () if given.mix is None else given.mix.other_layers:
         assert given.mix is not None and given.flow is not None

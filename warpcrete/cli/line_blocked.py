@@ -13,7 +13,8 @@ from ..studies.lines.elements import Elements
 def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> list[str]:
     """Simulate the line's narrowest part with many random seeds, and return text on the probability of a blockage.
 
-    `settings` are the command's options.
+    `name` is the name or file of the concrete, and `rate` is the volume flow [m3/s]. The results are written into
+    `folder`. `settings` holds the options of the command by name.
     """
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "stiffer")})
     with progress_bar(settings["quiet"]) as tell:

@@ -1,4 +1,4 @@
-"""Line and concrete of the command `warpcrete line`: from files, or from a few options alone."""
+"""Line and concrete of the command `warpcrete line`: read from files, or described by a few options."""
 
 import math
 from collections.abc import Mapping
@@ -49,7 +49,7 @@ class LineInputs:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Factors on yield stresses and on viscosities that the concrete's file states for its age or temperature."""
+        """Factors on yield stresses and on viscosities from the concrete's file, for its age or temperature."""
         if self.mix is not None:
             return self.mix.factors
         stated = flow_amounts(named(self.name))
@@ -57,12 +57,12 @@ class LineInputs:
 
     @property
     def source(self) -> NamedConcrete | None:
-        """File or shipped description of the concrete; None if the user stated only the slump or spread."""
+        """Contents of the concrete's file, or a shipped concrete; None if the user stated only the slump or spread."""
         return None if self.guessed else named(self.name)
 
     @property
     def concrete(self) -> Concrete:
-        """The concrete's flow properties: a yield stress fluid with a slip layer."""
+        """Flow properties of the concrete, which is a yield stress fluid with a slip layer."""
         if self.guessed and self.mix is not None:
             return self.mix.concrete
         return replace(concrete_of(self.name), name=named(self.name).name)
@@ -94,7 +94,10 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
 
 
 def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = "") -> float | None:
-    """Return the value of the option `name` as a positive number in `unit`, or None if the option is missing."""
+    """Return the value of the option `name` as a positive number in `unit`, or None if the option is missing.
+
+    The number must lie within the limits of the quantity `limited`, or of the quantity `name` if `limited` is empty.
+    """
     if settings[name] is None:
         return None
     found = amount(name, settings[name], unit)
@@ -104,7 +107,7 @@ def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = ""
 
 
 def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
-    """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise`, which replace a file."""
+    """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise` next to a file."""
     for name in SHAPE:
         if settings[name] is not None:
             raise click.UsageError(f"{name} = {settings[name]!r}: cannot be given together with the file of a line; "
@@ -131,7 +134,10 @@ def _straight(settings: Mapping[str, Any]) -> PipeLine:
 
 
 def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
-    """Return a mix made from the options for slump, spread and largest stone; None without slump and spread."""
+    """Return a mix that is estimated from the slump or spread in the options; None if the options contain neither.
+
+    `stone` is the diameter of the largest stone [m], or None.
+    """
     cones = {name: settings[name] for name in ("slump", "spread") if settings[name] is not None}
     if not cones:
         return None
@@ -148,7 +154,7 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
 
 
 def _flow(settings: Mapping[str, Any], line: PipeLine, guessed: bool) -> float | None:
-    """Return the volume flow [m3/s] that the option `--flow` states, or that the file of the line states.
+    """Return the volume flow [m3/s] that the option `--flow` states or, without this option, the file of the line.
 
     A flow may be missing if the slip layer is fitted to measured pressures, or if the user stated only the slump or
     spread of the concrete (`guessed`). The result is then None. In all other cases, a missing flow raises

@@ -26,7 +26,8 @@ def run(
 ) -> bool:  # fmt: skip
     """Simulate a line, call `finish` with the report, and return True if a simulated part failed a check.
 
-    `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
+    `method` is "flow", "dem" (discrete elements) or "both". `layer` holds the uncertainty of the concrete, as keyword
+    arguments of `run_line`. `stop` is a rest of the concrete before a restart, or None. `settings` holds the options of
     the command by name. With `unless_known`, only parts whose friction cannot be found without a simulation are
     simulated. The line's folder is still locked when `finish` is called, so `finish` may write into it.
     """
@@ -57,7 +58,12 @@ def _text(
     line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path,
     practice: bool,
 ) -> list[str]:  # fmt: skip
-    """Return the results of all simulations as lines of text; write results of discrete elements into `folder`."""
+    """Return the results of all simulations as lines of text; write results of discrete elements into `folder`.
+
+    `found` holds the results of flow simulations, and `packed` holds those of discrete elements; each is None without
+    such simulations. `rate` is the volume flow [m3/s]. If `practice` is true, the text contains a comparison with rules
+    of practice.
+    """
     said = [] if found is None else lines_of(found, practice)
     if packed is not None:
         others = {} if found is None else {"flow": [x.friction for x in found.losses]}

@@ -329,7 +329,8 @@ def schema_command(kind: str | None, path: bool) -> None:
 def _add_command(name: str, text: str, words_of: Callable[[list[str]], list[str]]) -> None:
     """Add the subcommand `name` with the help page `text`.
 
-    The module of the subcommand parses the arguments, because the options depend on the scene.
+    `words_of` converts the words of the command line before the subcommand's own module parses them. Click cannot parse
+    them, because the options depend on the scene.
     """
 
     @cli.command(name, cls=WordCommand, help=text)

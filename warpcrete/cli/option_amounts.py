@@ -16,7 +16,10 @@ HIGHEST_THIXOTROPY = 1.7
 
 
 def option_amount(field: str, given: str | None, unit: str) -> float | None:
-    """Return the value of an option as a number in `unit`, or None if the option is missing."""
+    """Return the text `given` of an option as a number in `unit`, or None if the option is missing.
+
+    `field` is the name of the option. Raises :class:`SceneError` for a wrong unit or an impossible value.
+    """
     if given is None:
         return None
     found = amount(field, given, unit)
@@ -25,7 +28,7 @@ def option_amount(field: str, given: str | None, unit: str) -> float | None:
 
 
 def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
-    """Return the values of a repeatable option as numbers in `unit`."""
+    """Return the texts `given` of a repeatable option, whose name is `field`, as numbers in `unit`."""
     return [found for each in given if (found := option_amount(field, each, unit)) is not None]
 
 

@@ -16,7 +16,11 @@ def run(
     paper: str | None, *, quick: bool, seeds: int, only: Sequence[str], known: Sequence[Path], out: Path | None,
     resume: Path | None, device: str | None, processes: int | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """Start or continue the reproduction of a paper, and print its report."""
+    """Start or continue the reproduction of a paper, and print its report.
+
+    `paper` is "zhan" or "xu", or None if `resume` is the folder of a reproduction to continue. The other arguments are
+    the values of the command's options.
+    """
     with progress_bar(quiet) as tell:
         if resume is not None:
             if paper is not None or out is not None or device is not None or quick or seeds != 1 or only or known:

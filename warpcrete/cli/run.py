@@ -31,7 +31,10 @@ from .exits import CHECK_FAILED, INTERRUPTED
 
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
-    """Continue an interrupted run in its folder; with `live`, a viewer shows the run from the checkpoint on."""
+    """Continue an interrupted run in its folder; with `live`, a viewer shows the run from the checkpoint on.
+
+    `modules` maps the name of each scene to its Python module. `live`, `bind` and `quiet` are options of the command.
+    """
     if not (folder / "scene.json").is_file():
         raise RunFolderError(
             f"resume = '{folder}': is not the folder of a run (it contains no scene.json); give the "
@@ -65,9 +68,10 @@ def run(
 ) -> None:
     """Run a scene into a new folder, or continue the run in an existing folder.
 
-    An interrupted run continues from its checkpoint. Without a checkpoint it starts again. `settings` holds the values
-    of the options that :func:`warpcrete.cli.options.run_options` defines, by name. If `going_on` is true, the folder
-    already holds the run.
+    `name` and `module` are the scene's name and Python module, and `parameters` holds the parameters that the user set.
+    `settings` holds the values of the options that :func:`warpcrete.cli.options.run_options` defines, by name. If
+    `going_on` is true, the folder already holds the run. An interrupted run continues from its checkpoint, or starts
+    again if it has none.
     """
     begun = time.perf_counter()
     folder = settings["out"] if settings["out"] is not None else next_folder(name)

@@ -171,10 +171,11 @@ def _resumed(
 
 
 def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
-    """Return the module of the scene that an earlier study in `folder` simulated.
+    """Return the Python module of the scene that an earlier study in `folder` simulated.
 
-    `kind` is `study` or `trade`; the file study.json or trade.json in the folder names the scene. Raises
-    :class:`RunFolderError` if this file is missing, or if the scene does not exist in this version.
+    `kind` is `study` or `trade`; the file study.json or trade.json in the folder names the scene. `modules` maps the
+    name of each scene to its module. Raises :class:`RunFolderError` if this file is missing, or if the scene does not
+    exist in this version.
     """
     record = f"{kind}.json"
     if not (folder / record).is_file():
@@ -218,7 +219,8 @@ def _new_study(
 def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
     """Return a scene's parameters by name, including the parameters of the contact laws that the user chose.
 
-    `options` maps the name of each option to its words; the words of an option such as `contact` name contact laws.
+    `module` is the scene's Python module. `options` maps the name of each option to the words that follow it; the words
+    after an option such as `contact` are names of contact laws.
     """
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():

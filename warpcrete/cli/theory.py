@@ -48,7 +48,7 @@ def rise_option() -> ParameterOption:
 
 
 def _rise(stated: str, length: float) -> float:
-    """Return the rise per length of a pipe, from the text of `--rise`; `length` is the length of the pipe [m]."""
+    """Return the rise per length of a pipe from the text `stated` of the option `--rise`; `length` is in metres."""
     field = declared_fields(Line)["rise"]
     if bare_number(stated) or is_amount(stated, "1"):
         value = field.converted(amount("rise", stated, "1"), "rise")
@@ -125,7 +125,10 @@ def _tabulated(flows: Sequence[float]) -> list[float]:
 
 
 def _share(given: float | None, name: str) -> float:
-    """Return the volume fraction of aggregate in the concrete, stated by the user or computed from the mix."""
+    """Return the volume fraction of aggregate: `given` by the user, or from the mix if `given` is None.
+
+    `name` is the name of the concrete. Raises :class:`SceneError` if its mix states no fraction either.
+    """
     if given is not None:
         return given
     mix = mix_named(name)

@@ -20,7 +20,11 @@ def run(
     device: str | None,
     quiet: bool,
 ) -> None:
-    """Predict the measured cases and print the comparison; with `out`, also write tables and figure."""
+    """Predict the measured cases and print the comparison; with `out`, also write tables and a figure into this folder.
+
+    The other arguments are the values of the command's options. If `every` is true, the printed table has a row for
+    each case.
+    """
     if out is not None:
         check_new(out)
     given = None if cases is None else read_cases(cases)

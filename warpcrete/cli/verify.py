@@ -18,7 +18,11 @@ FAILED = 1
 
 
 def run(device: str | None, precision: str, only: str, quick: bool, extremes: bool, out: Path | None) -> None:
-    """Run the selected cases, print their table, and write the table with a figure into the folder `out`."""
+    """Run the selected cases and print their table; with `out`, also write the table and a figure into this folder.
+
+    `only` is a part of the names of the selected cases; an empty text selects all cases. `quick` leaves out slow cases.
+    `extremes` adds runs with extreme parameter values.
+    """
     if out is not None:
         check_new(out)
     found = find_device(device)

@@ -79,7 +79,8 @@ def _scenes_and_parameters(words: list[str], modules: dict[str, Any]) -> tuple[l
 def _record(name: str, scene_file: Path, device: wp.Device, code: str) -> Path:
     """Return the path of the file that lists the compiled kernels of a scene.
 
-    Its name depends on everything on which the kernels depend: the code, the versions, the device and its processor.
+    The name of this file contains a hash of everything on which the kernels depend: the program's code, the text of
+    `scene_file`, the versions of warpcrete and Warp, the device and its processor.
     """
     origin = provenance(device, "float32", 0, default_threads())
     key = json.dumps([name, scene_file.read_text(encoding="utf-8"), code, origin, str(device.arch)], sort_keys=True)
@@ -100,7 +101,7 @@ def _code_hash() -> str:
 
 
 def _write_record(record: Path, files: set[Path]) -> None:
-    """Write the paths of a scene's compiled kernels, relative to Warp's cache, one in a line."""
+    """Write the paths of a scene's compiled kernels into the file `record`, one per line, relative to Warp's cache."""
     with atomic_file(record) as partial:
         partial.write_text("\n".join(sorted(_in_cache(file) for file in files)), encoding="utf-8")
 

@@ -71,9 +71,9 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
 
 
 def _knobs(module: Any, given: Sequence[str]) -> list[str]:
-    """Return the names of the settings that a trade of the scene may vary.
+    """Return the names of the accuracy parameters (knobs) that `warpcrete trade` may vary for a scene.
 
-    The words `given` hold the scene's parameters, on which these settings depend.
+    The words `given` hold the values of the scene's parameters, on which the list of knobs depends.
     """
     try:
         _, options = study.parsed(list(given))

@@ -56,9 +56,9 @@ def is_full(error: BaseException) -> bool:
 class InstabilityError(WarpcreteError):
     """Error: the simulated state is no longer physically meaningful, so the run must end.
 
-    `what` says what happened. `time` is the simulated time [s], and `body` is the permanent number of the body
-    concerned; each of the two is None if it is not known. `cure` lists usual cures, or is empty. The message contains
-    all that is known.
+    `what` says what happened, `time` is the simulated time [s], and `body` is the permanent number of the body
+    concerned. `time` and `body` are None if they are unknown. `cure` lists usual cures, or is empty. The message
+    contains all these values except unknown or empty ones.
     """
 
     def __init__(self, what: str, *, time: float | None = None, body: int | None = None, cure: str = "") -> None:
@@ -101,7 +101,8 @@ class CapacityError(WarpcreteError):
 
 
 NOT_THE_USERS = ("warpcrete", "contextlib", "functools", "dataclasses")
-"""Packages that are skipped when a warning is attributed to a line of code, so that it points at the user's line."""
+"""Packages whose lines are skipped when Python looks for the line of code that a warning names, so that the warning
+names the user's line."""
 
 
 class PlausibilityWarning(UserWarning):
@@ -131,7 +132,7 @@ def quoted(value: object) -> str:
 
 
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
-    """Give a warning that points at the line of the user's program that called this package."""
+    """Give a warning of the class `category` that names the line of the user's program that called this package."""
     frame, level = sys._getframe(1), 2  # pyright: ignore[reportPrivateUsage]
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in NOT_THE_USERS:
         frame, level = frame.f_back, level + 1
@@ -152,12 +153,12 @@ def warn_in_one_line() -> None:
 
 
 def at_least(value: float, digits: int = 3) -> str:
-    """Return a lower limit as text with `digits` digits, rounded up so that the written number itself is allowed."""
+    """Return the lower limit `value` as text with `digits` digits, rounded up so that the written number is allowed."""
     return _rounded(value, digits, ROUND_CEILING)
 
 
 def at_most(value: float, digits: int = 3) -> str:
-    """Return an upper limit as text with `digits` digits, rounded down so that the written number itself is allowed."""
+    """Return the upper limit `value` as text with `digits` digits, rounded down so that the written number is allowed."""
     return _rounded(value, digits, ROUND_FLOOR)
 
 
@@ -175,7 +176,8 @@ RENAMED = {
     "mix": "concrete", "radius": "diameter", "aggregate_share": "aggregate_fraction", "shares": "fractions",
     "most_iterations": "maximum_iterations",
 }  # fmt: skip
-"""Names of parameters that warpcrete 0.2 still accepted, and their present names. The diameter is twice the radius."""
+"""Former names of parameters, which warpcrete 0.2 still accepted, with the present names. The value of `diameter` is
+twice the value of the former `radius`."""
 
 
 RELATED = {
@@ -184,8 +186,8 @@ RELATED = {
     "threads": ("processes", "the number of cases that run at once"),
     "processes": ("threads", "the number of threads of the run"),
 }
-"""Names that users may confuse. Each key is a parameter or an option; the value is the name of a related one that some
-commands have instead, and its meaning."""
+"""Parameters and options that users may confuse. Each key is such a name; the value is a pair of a related name, which
+some commands have instead, and the meaning of that name."""
 
 
 def suggested(word: object, known: Iterable[object]) -> str:
@@ -206,9 +208,9 @@ def suggested(word: object, known: Iterable[object]) -> str:
 
 
 def known_names(word: object, known: Iterable[object]) -> str:
-    """Return a text that lists the `known` words and suggests the one closest to `word`.
+    """Return a text that lists the `known` words and suggests the one with the spelling most similar to `word`.
 
-    If there are more than `MOST_NAMES_LISTED` words and one of them is close, the text only suggests that word.
+    If there are more than `MOST_NAMES_LISTED` words and one of them is similar, the text only suggests that word.
     """
     names = [str(each) for each in known]
     suggestion = suggested(word, names)
@@ -223,19 +225,19 @@ def _after(unit: str) -> str:
 
 
 def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
-    """Raise :class:`SceneError` unless `value` is a finite number above zero."""
+    """Raise :class:`SceneError` about `field` unless `value` is a finite number above zero."""
     if not is_number(value) or not math.isfinite(value) or value <= 0:
         refuse(field, value, f"must be a finite number above 0{_after(unit)}", hint)
 
 
 def at_least_and_below(field: str, value: float, lower: float, end: float, unit: str = "", hint: str = "") -> None:
-    """Raise :class:`SceneError` unless `value` is a number in [lower, end), which does not contain `end`."""
+    """Raise :class:`SceneError` about `field` unless `value` is at least `lower` and below `end`."""
     if not is_number(value) or not lower <= value < end:
         refuse(field, value, f"must be at least {lower:g} and below {end:g}{_after(unit)}", hint)
 
 
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
-    """Raise :class:`SceneError` unless `value` is a finite number in [lower, upper]."""
+    """Raise :class:`SceneError` about `field` unless `value` is a finite number in [lower, upper]."""
     if not is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
         if math.isfinite(lower):
             span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
@@ -247,7 +249,10 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 
 def whole(field: str, value: object, lower: int, upper: int | None = None) -> None:
-    """Raise :class:`SceneError` unless `value` is a whole number in [lower, upper]; None for `upper` means no limit."""
+    """Raise :class:`SceneError` about `field` unless `value` is a whole number in [lower, upper].
+
+    If `upper` is None, there is no upper limit.
+    """
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     count = int(cast(int, value)) if is_whole else None
     if count is None or count < lower or (upper is not None and count > upper):

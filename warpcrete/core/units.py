@@ -41,5 +41,8 @@ def shown(unit: str) -> tuple[float, str]:
 
 
 def rounded(value: float, digits: int = 4) -> str:
-    """Return a number as text with `digits` significant digits; it has an exponent below 0.0001 and from 1e6 on."""
+    """Return a number as text with `digits` significant digits.
+
+    Numbers below 0.0001, and numbers from 1e6 on, are written with an exponent.
+    """
     return f"{float(f'{value:.{digits}g}'):g}"

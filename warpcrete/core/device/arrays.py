@@ -56,12 +56,12 @@ if TYPE_CHECKING:
             """Set all values of the array to zero."""
 
         def fill_(self, value: object) -> None:
-            """Set all elements of the array to one value."""
+            """Set all elements of the array to `value`."""
 
     def zeros(
         shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
     ) -> DeviceArray:
-        """Return a new array filled with zeros."""
+        """Return a new array filled with zeros; `pinned` selects page-locked memory of the host."""
         ...
 
     def ones(shape: Shape, dtype: type, *, device: wp.Device | str | None = None) -> DeviceArray:
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     def empty(
         shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
     ) -> DeviceArray:
-        """Return a new array without initial values."""
+        """Return a new array without initial values; `pinned` selects page-locked memory of the host."""
         ...
 
     def clone(src: DeviceArray) -> DeviceArray:
@@ -81,10 +81,13 @@ if TYPE_CHECKING:
     def copy_array(
         dest: DeviceArray, src: DeviceArray, dest_offset: int = 0, src_offset: int = 0, count: int = 0
     ) -> None:
-        """Copy `count` elements of `src` to `dest`, or the whole array if `count` is 0."""
+        """Copy `count` elements of `src` to `dest`, or the whole array if `count` is 0.
+
+        The offsets are the indices of the first element to copy in `src`, and of its copy in `dest`.
+        """
 
     def load_module(module: KernelModule, *, device: wp.Device, block_dim: int) -> None:
-        """Compile the kernels of a module, or load them from the cache."""
+        """Compile the kernels of a module for `block_dim` threads per block, or load them from the cache."""
 
     def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray:
         """Return a new array in which every element is `value`."""
@@ -94,7 +97,7 @@ if TYPE_CHECKING:
         kernel: Kernel, *, dim: Shape, inputs: Sequence[object], device: wp.Device, record_cmd: bool = False,
         block_dim: int = 256,
     ) -> wp.Launch | None:  # fmt: skip
-        """Launch a kernel or, if `record_cmd` is true, return an object that launches it later."""
+        """Launch `dim` threads of a kernel or, if `record_cmd` is true, return an object that launches them later."""
 
     def capture_if(condition: DeviceArray, on_true: Callable[[], None]) -> None:
         """Add the work that `on_true` launches to a graph, as a conditional node.
@@ -103,7 +106,8 @@ if TYPE_CHECKING:
         """
 
     def array_scan(in_array: DeviceArray, out_array: DeviceArray, inclusive: bool) -> None:
-        """Write the prefix sums of an array to another array."""
+        """Write the prefix sums of `in_array` to `out_array`; with `inclusive`, a sum contains the element at its
+        index."""
 
     def radix_sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, end_bit: int) -> None:
         """Sort the first `count` keys and their values by the lowest `end_bit` bits of the keys."""

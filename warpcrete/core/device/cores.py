@@ -76,7 +76,7 @@ class CoreContention:
 
     @property
     def is_uncertain(self) -> bool:
-        """True if it is not known yet whether the threads have enough cores; the caller should then check often."""
+        """True as long as it is not known whether the threads have enough cores; the caller should then check often."""
         return not self.contended and not self._cores_suffice
 
     def use_one_thread(self) -> bool:

@@ -142,7 +142,8 @@ def checked_threads(threads: int | None) -> int:
 def memory_free(device: wp.Device) -> float:
     """Return the free memory of a device [B].
 
-    For a CPU, this is the available main memory, or the total main memory if only this is known, or else infinity.
+    For a CPU, this is the available main memory. If the system does not report it, return the total main memory or, if
+    this is unknown too, infinity.
     """
     if device.is_cuda:
         return float(device.free_memory)

@@ -43,10 +43,10 @@ def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
 def _lock_collections() -> None:
     """Make garbage collections hold the lock `_collecting_or_capturing` from now on.
 
-    If a collection is running already, it does not hold the lock, so wait until it has ended.
+    A collection that is running already does not hold the lock, so wait until it has ended.
 
-    The first capture calls this function, so a program that captures no graph has no callback of the collector. Python
-    drops exceptions inside such a callback: a Ctrl-C that arrives there is lost.
+    The lock is set up only when the first graph is captured, because it has a disadvantage: Python drops exceptions
+    inside the collector's callback, so a Ctrl-C that arrives there is lost.
     """
     if _hold_lock_during_collection in gc.callbacks:
         return
@@ -93,10 +93,10 @@ class Call:
 
 
 class GraphLaunch:
-    """Several stages (recorded kernel launches) that run with a single launch.
+    """Sequence of stages (recorded kernel launches) that runs with a single launch.
 
-    On a GPU they are captured as a graph, because the launch of a short kernel takes longer than the kernel itself.
-    `stages` may contain any object that can be recorded and called like a :class:`.Stage`.
+    On a GPU, the stages are captured as a graph, because the launch of a short kernel takes longer than the kernel
+    itself. `stages` may contain any object that can be recorded and called like a :class:`.Stage`.
     """
 
     def __init__(self, stages: Sequence[Recordable], device: wp.Device) -> None:

@@ -51,8 +51,8 @@ def defer_interrupts() -> Generator[None]:
 def terminate_as_interrupt(simulation: SimulationOnDevice) -> Generator[None]:
     """Treat SIGTERM like Ctrl-C while `simulation` runs in the `with` block.
 
-    A SIGTERM that arrives while results are written ends the program by its default action, but only after the block.
-    Outside the main thread, and in a program that handles SIGTERM by itself, this context does nothing.
+    If a SIGTERM arrives while results are written, the program finishes the block first; the signal then ends the
+    program. Outside the main thread, and in a program that handles SIGTERM by itself, this context does nothing.
     """
     if not _in_main_thread() or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield

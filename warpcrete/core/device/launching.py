@@ -67,7 +67,7 @@ def bound(kernel: Kernel, named: Mapping[str, object]) -> list[object]:
 
 
 def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
-    """Return a kernel's arguments by parameter name: those in `named`, and values from `common` for the others."""
+    """Return a kernel's arguments by parameter name: those in `named`, and missing arguments from `common`."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 
@@ -86,7 +86,7 @@ def struct_arguments(kernel: Kernel, **structs: object) -> Arguments:
 
 
 def launch(kernel: Kernel, dim: Size, device: wp.Device, **named: object) -> None:
-    """Launch a kernel once, with its arguments by name."""
+    """Launch `dim` tasks of a kernel once; `named` holds the kernel's arguments by parameter name."""
     if tasks_of(dim):
         note_use(kernel.module)
         launch_kernel(kernel, dim=dim, inputs=bound(kernel, named), device=device)
@@ -95,10 +95,12 @@ def launch(kernel: Kernel, dim: Size, device: wp.Device, **named: object) -> Non
 class Stage:
     """One kernel launch, which is recorded once and replayed until one of its arrays changes.
 
-    On a GPU, stages with `on_side_stream` run one after the other on a side stream, at the same time as the other
-    stages that follow. A stage with `joins_side_stream` waits for them. A stage with `every` = n runs once in n steps:
-    in the first of every n steps of a graph. If a graph has fewer than n / 2 steps, the :class:`Launcher` runs this
-    stage between graphs instead.
+    On a GPU, all stages of a step run one after the other on the main stream, except stages with `on_side_stream`.
+    These run on a side stream, at the same time as later stages of the main stream. A stage with `joins_side_stream`
+    waits until the side stream has no work left.
+
+    A stage with `every` = n runs once in n steps: in the first of every n steps of a graph. If a graph has fewer than n
+    / 2 steps, the :class:`Launcher` runs this stage between graphs instead.
     """
 
     def __init__(
@@ -138,7 +140,7 @@ class Stage:
             )  # fmt: skip
 
     def set(self, name: str, value: object) -> None:
-        """Change an argument of the recorded launch."""
+        """Set the argument `name` of the recorded launch to `value`."""
         self.record()
         if self._command is not None:
             self._command.set_param_by_name(name, value)
@@ -214,9 +216,9 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
-    """Sort pairs of a module and a block size.
+    """Sort pairs of a kernel module and a block size by decreasing compile time.
 
-    Modules with the most kernel parameters go first, because they take longest to compile.
+    The number of kernel parameters in a module serves as the measure of its compile time.
     """
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
@@ -322,10 +324,10 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Run the periodic kernel launches that are due and that the graphs replayed last did not contain.
+        """Run periodic kernel launches (stages with `every` > 1) between graphs that are too short to contain them.
 
-        A kernel launch (stage) with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain
-        it. `sizes` are the numbers of steps in the graphs that have just been replayed.
+        A stage with `every` = n must run once in n steps, and only graphs of at least n / 2 steps contain it. `stages`
+        are the stages of a step, and `sizes` are the numbers of steps in the graphs that have just been replayed.
         """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:
@@ -350,9 +352,10 @@ class Launcher:
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch stages (kernel launches) that do not depend on one another, for example one per group of bodies.
+        """Launch stages (kernel launches) that do not depend on one another, each in a thread of its own.
 
-        Each stage gets a thread of its own. While other processes use the cores, one thread launches all stages.
+        An example is one stage per group of bodies. While other processes use the cores, one thread launches all
+        stages.
         """
         for stage in stages:
             stage.record()

@@ -25,7 +25,7 @@ simulation down, because it must wait while a check holds Python's interpreter l
 
 
 def on_host(found: object) -> object:
-    """Return a copy of a Warp array as a NumPy array; return any other object unchanged."""
+    """Return a copy of `found` as a NumPy array if it is a Warp array; return any other object unchanged."""
     return host_copy(found) if isinstance(found, DeviceArray) else found
 
 

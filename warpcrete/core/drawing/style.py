@@ -94,7 +94,7 @@ def legend_above(axes: Any, curves: Sequence[Any] | None = None, width: float = 
 
 
 def _end(handle: Any) -> float:
-    """Return the last finite value of a curve; -infinity for a legend entry that is not a curve of several points."""
+    """Return the last finite value of a curve; -infinity if the legend entry `handle` is no curve of several points."""
     # A curve with error bars is a container whose first line is the curve itself.
     line = getattr(handle, "lines", (handle,))[0]
     if not hasattr(line, "get_ydata"):

@@ -89,7 +89,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Cut:
-    """Plane that cuts concrete open; the concrete is kept on the side to which the normal points."""
+    """Plane that cuts concrete open; only the concrete on the side to which the normal points is drawn."""
 
     normal: np.ndarray
     """Unit normal of the cutting plane in d dimensions, shape (d,)."""
@@ -97,12 +97,15 @@ class Cut:
     """Distance of the cutting plane from the origin, along the plane's normal [m]."""
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """Return the distance of points (..., d) behind the plane [m] in d dimensions, negative in front of it."""
+        """Return the signed distance of points (..., d) from the plane [m], positive on the side of the normal."""
         return points @ self.normal - self.offset
 
 
 def surface_of(level: Level, cut: Cut | None = None) -> Surface:
-    """Return the closed surface of concrete in three dimensions, or of its part behind a cutting plane."""
+    """Return the closed surface of concrete in three dimensions.
+
+    With `cut`, return the closed surface of the concrete on the side to which the cutting plane's normal points.
+    """
     net = _Net(level.cropped(), cut)
     return _surface(net.points, triangles(net.sides), net.fields)
 
@@ -164,9 +167,10 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, fields: Mapping[str, np.nd
 
 
 class _Net:
-    """Surface net (Gibson, MICCAI 1998) of a level-set function in two or three dimensions: vertices and faces.
+    """Surface net (Gibson, MICCAI 1998) of a level-set function in two or three dimensions.
 
-    The attribute `sides` holds the faces; in two dimensions they are line segments.
+    It consists of vertices (`points`) and of faces between them (`sides`). In two dimensions, the faces are line
+    segments.
     """
 
     points: np.ndarray
@@ -284,7 +288,8 @@ class _Net:
         """Fill a two-dimensional section of the concrete with quadrilaterals.
 
         Add a vertex at the centre of every grid cell that lies entirely in concrete. Then add a quadrilateral around
-        every node in concrete; its corners are the vertices of the four cells that meet at the node.
+        every node in concrete; its corners are the vertices of the four cells that meet at the node. `number` holds the
+        number of the vertex in each cell, as :meth:`_numbered` returns it.
         """
         at = np.argwhere(self._inside)
         corners = np.array([(-1, -1), (0, -1), (0, 0), (-1, 0)])
@@ -308,9 +313,9 @@ def _padded(values: np.ndarray) -> np.ndarray:
 
 
 def _padded_places(place: np.ndarray) -> np.ndarray:
-    """Return the coordinates of nodes along an axis with one more node at each end.
+    """Return the coordinates `place` of nodes along an axis, with one more node at each end.
 
-    The new spacing at an end equals the spacing between the last two nodes there.
+    The spacing of the new node equals the spacing between the last two nodes at this end.
     """
     if len(place) < 2:
         return np.concatenate([place - 1, place, place + 1]) if len(place) else np.arange(2.0)

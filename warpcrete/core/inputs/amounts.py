@@ -211,7 +211,7 @@ def _customary() -> re.Pattern[str]:
 
 
 def unit_names(unit: str) -> list[str]:
-    """Return one name of each accepted unit of a quantity, without synonyms."""
+    """Return one name of each unit in which an amount may be written, without synonyms; `unit` is its internal unit."""
     factors: dict[float, str] = {}
     for name, factor in accepted_units(unit).items():
         factors.setdefault(factor, name)

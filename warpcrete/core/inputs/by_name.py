@@ -92,7 +92,7 @@ class ByName(CompositeRule):
         return tuple(self.classes)
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
-        """Return parameters with an object in place of its class name and of the object's own parameters.
+        """Return the parameters `values` with an object in place of its class name and of the object's own parameters.
 
         For example, the entries `contact` and `contact_FIELD` become one entry `contact` that holds the contact law.
         """
@@ -126,7 +126,7 @@ class ByName(CompositeRule):
         return {field.name: self.name_of(kind), **own}, same
 
     def name_of(self, kind: type) -> str:
-        """Return the name by which :meth:`class_of` finds a class: its short name, or `module:Class`."""
+        """Return the name by which :meth:`class_of` finds the class `kind`: its short name, or `module:Class`."""
         short = {each: name for name, each in self.classes.items()}
         return short.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 

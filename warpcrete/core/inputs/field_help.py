@@ -9,10 +9,10 @@ T = TypeVar("T", bound=type)
 
 
 def help_on_fields(documented: T) -> T:
-    """Append the docstring of each field to the docstring of a class, so that `help` shows the meaning of all fields.
+    """Append the docstring of each field to the docstring of the class `documented`, so that `help` shows all fields.
 
-    Python discards the docstrings of fields when it loads a class, so this decorator reads them from the source. If
-    there is no source, it leaves the class as it is.
+    Python discards the docstrings of fields when it loads a class, so this decorator reads them from the source code.
+    If there is no source code, it leaves the class unchanged. It returns the class.
     """
     try:
         (definition,) = ast.parse(textwrap.dedent(inspect.getsource(documented))).body

@@ -57,7 +57,8 @@ def scaled(
     """Return a knob (accuracy parameter) for the numeric scene parameter `parameter`, whose chosen value is `value`.
 
     At each setting (level) of the knob, the parameter is `value` times one of `factors`, from the coarsest to the
-    finest setting. The expected wall time at a setting is proportional to its factor to the power of `power`.
+    finest setting. The expected wall time at a setting is proportional to its factor to the power of `power`. `unit` is
+    shown after the value; `physical` and `resolution` are attributes of :class:`Knob`.
     """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
     return Knob(name, tuple(levels), physical, resolution=resolution)

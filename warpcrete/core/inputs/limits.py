@@ -116,7 +116,7 @@ def limit_of(name: str, unit: str) -> Limit | None:
 
 
 def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
-    """Refuse an impossible value of `field`, and warn about an unlikely value.
+    """Refuse an impossible value of `field`, and warn about an unlikely value; the value has the unit `unit`.
 
     The limits of the quantity `name` apply, or the limits of the quantity `field` if `name` is empty.
     """
@@ -145,7 +145,8 @@ def check_whole(field: str, value: int) -> None:
 def check_velocity(field: str, value: float, velocity: float) -> None:
     """Refuse or warn about a value of `field` that leads to an impossible or unlikely mean velocity.
 
-    `value` is the value in the message, and `velocity` is the mean velocity of the concrete [m/s].
+    `velocity` is this mean velocity of the concrete [m/s]. The message shows it together with `value`, which the user
+    set.
     """
     limit = LIMITS["velocity"]
     if not velocity <= limit.high:
@@ -163,8 +164,8 @@ def warn(text: str) -> None:
 def _meant(value: float, unit: str, limit: Limit) -> str:
     """Return a question such as "did you mean 5 cm or 5 in?", with units in which the number would be usual.
 
-    The question names at most one metric and one customary US unit. It is empty if the number is usual in no unit, or
-    if it is negative, because then its sign is wrong rather than its unit.
+    The question names at most one metric and one customary US unit. It is empty if the number is usual in no unit, is
+    negative, or is so small or large that another unit cannot explain it.
     """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:

@@ -97,7 +97,8 @@ class Arguments(dict[str, Any]):
     ) -> Arguments:
         """Return the arguments `values`, with fingerprints of the `scene` that was made from these arguments.
 
-        The fingerprints show later whether the scene was changed.
+        The fingerprints show later whether the scene was changed. `function`, `files` and `unwritable` are attributes
+        of the result, which the docstring of the class explains.
         """
         made = cls(values)
         made.function, made.files, made.unwritable = function, dict(files), unwritable

@@ -253,7 +253,7 @@ class Field:
 
 @functools.cache
 def declared_fields(owner: type) -> dict[str, Field]:
-    """Return the annotated fields of a dataclass by name, in order of definition; fields of base classes come first.
+    """Return the annotated fields of the dataclass `owner` by name, in order of definition, base classes first.
 
     An attribute `common` of a dataclass names the fields of this class that `--help` shows. Without this attribute,
     `--help` shows all its fields.

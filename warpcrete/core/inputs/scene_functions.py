@@ -128,7 +128,7 @@ class SceneFunction(Generic[P, S]):
             ) from error
 
     def _elsewhere(self, name: str) -> str:
-        """Return a hint if the same test by discrete elements has the parameter `name`; otherwise an empty text."""
+        """Return a hint if the same test by discrete elements has the parameter `name`; return an empty text if not."""
         package = sys.modules.get(self._build.__module__.rpartition(".")[0])
         other = getattr(package, f"{self.__name__}_dem", None)
         if isinstance(other, SceneFunction) and (name == "method" or name in declared_fields(other.parameters)):
@@ -185,7 +185,10 @@ class SceneFunction(Generic[P, S]):
         return found
 
     def plain(self, scene: Any, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the arguments with which `scene` was made, without parameters that the user left at their defaults."""
+        """Return the arguments with which `scene` was made, without parameters that the user left at their defaults.
+
+        `given` holds the parameters that the user stated. The result also contains parameters that follow from these.
+        """
         names = self.completed(given)
         declared = declared_fields(self.parameters)
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
@@ -199,7 +202,7 @@ class SceneFunction(Generic[P, S]):
         return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the given parameters by name, together with parameters that follow from them.
+        """Return the parameters in `given`, by name, together with parameters that follow from them.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
         """
@@ -211,7 +214,7 @@ class SceneFunction(Generic[P, S]):
         return values | {name: value for name, value in implied.items() if name in meant}
 
     def effective_values(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the given parameters by name, without those that have no effect."""
+        """Return the parameters in `given` that have an effect, by name."""
         values = self.resolved(given)
         meant = self._effective({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}
@@ -239,12 +242,12 @@ class SceneFunction(Generic[P, S]):
         return values
 
     def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the parameters with texts such as "125 mm" converted to numbers."""
+        """Return the parameters in `given` with texts such as "125 mm" converted to numbers."""
         return resolved(declared_fields(self.parameters), given)
 
 
 def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
-    """Return the values `given` with texts such as "125 mm" converted to numbers in the units of the fields."""
+    """Return the values `given` with texts such as "125 mm" converted to numbers in the units of the fields `known`."""
     return {name: known[name].number(value, name) if name in known else value for name, value in given.items()}
 
 

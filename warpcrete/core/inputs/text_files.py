@@ -136,7 +136,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def _checked(path: Path, most: int) -> int:
-    """Return the size of a regular file [B]; raises :class:`Unreadable` for other paths and for large files."""
+    """Return the size of a regular file [B]; raises :class:`Unreadable` for other paths and for more than `most` B."""
     if "\0" in str(path):
         raise Unreadable("contains a NUL character", "remove this character, or check that the path is complete")
     try:

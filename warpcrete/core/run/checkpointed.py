@@ -44,7 +44,11 @@ class CheckpointedSimulation(SimulationBase):
         checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
 
     def _contents(self, recorders: dict[str, object], over: bool) -> dict[str, Any]:
-        """Return the contents of a checkpoint: the present state and the data about the run."""
+        """Return the contents of a checkpoint: the present state and the data about the run.
+
+        `recorders` holds the data of each recorder by its class name. `over` is true if the last step of the run is
+        done.
+        """
         run: RunRecord = {
             "recorders": recorders,
             "next_frame": self.frames.next,

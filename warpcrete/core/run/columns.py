@@ -24,7 +24,7 @@ class Columns(dict[str, np.ndarray]):
     ) -> None:
         """Create a copy of `columns` with their `units`; `row` names one row in the summary, such as "sample".
 
-        The defaults exist for `dataclasses.asdict`, which creates a copy from the items alone, without units.
+        The defaults are for `dataclasses.asdict`, which creates a copy from the names and arrays only, without units.
         """
         super().__init__(columns)
         self._units, self._row = units, row
@@ -58,7 +58,8 @@ class Columns(dict[str, np.ndarray]):
 def _numbers(values: np.ndarray) -> tuple[str, ...]:
     """Return the first, last, smallest and largest value as texts.
 
-    The smallest and the largest value leave out NaN and infinity; for values other than numbers, they are empty.
+    NaN and infinity do not count as smallest or largest value. If the values are not numbers, the texts for the
+    smallest and the largest value are empty.
     """
     if not len(values):
         return ("",) * 4

@@ -57,7 +57,7 @@ class _Phase:
         return cls(name, fraction, now, now, now, fraction)
 
     def skip_pause(self, now: float) -> None:
-        """Exclude the time since the last call, in which kernels were compiled, from the time of this phase."""
+        """Leave the time since the last call, in which kernels were compiled, out of the time of this phase."""
         pause = now - self.called
         self.start, self.shown = self.start + pause, self.shown + pause
 

@@ -105,7 +105,10 @@ class SimulationBase(SimulationOnDevice):
 
     @abstractmethod
     def result(self, finished: bool) -> Run:
-        """Return the time series and the result quantities of the run up to now."""
+        """Return the time series and the result quantities of the run up to now.
+
+        `finished` is true if the run has reached its end.
+        """
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:

@@ -96,7 +96,7 @@ def _unit_attribute(unit: str) -> dict[str, str]:
 
 
 def unstacked(found: Any, names: Sequence[str]) -> Any:
-    """Return a one-dimensional xarray Dataset as a grid whose dimensions are the variables `names`.
+    """Return the one-dimensional xarray Dataset `found` as a grid whose dimensions are the variables `names`.
 
     No two rows may have the same values of these variables. At grid points without a row, numbers are NaN and texts are
     empty.

@@ -65,7 +65,10 @@ class Viewer:
 
 
 def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
-    """Return a viewer that serves the `recordings` and a web page that shows them; it ends with this process."""
+    """Return a viewer that serves the `recordings` and a web page that shows them; it ends with this process.
+
+    The server listens on the IP address `bind`.
+    """
     web, data = _free_port(bind, WEB_PORT), _free_port(bind, DATA_PORT)
     host = _host(bind)
     source = urllib.parse.quote(f"rerun+http://{host}:{data}/proxy", safe="")
@@ -77,7 +80,8 @@ def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
 def screen_viewer(recordings: Sequence[Path] = (), bind: str = LOOPBACK) -> Viewer:
     """Return a viewer that opens a window for the `recordings`.
 
-    The viewer also receives data from runs over a socket. Its window stays open after this process ends.
+    The viewer also receives data from runs, over a socket on the IP address `bind`. Its window stays open after this
+    process ends.
     """
     data = _free_port(bind, DATA_PORT)
     command = [rerun_tool(), *map(str, recordings), *_ports(bind, data), "--expect-data-soon"]
