@@ -153,12 +153,12 @@ def warn_in_one_line() -> None:
 
 
 def at_least(value: float, digits: int = 3) -> str:
-    """Return the lower limit `value` as text with `digits` digits, rounded up so that the written number is allowed."""
+    """Return the lower limit `value` as text with `digits` digits, rounded up so that the text is allowed, too."""
     return _rounded(value, digits, ROUND_CEILING)
 
 
 def at_most(value: float, digits: int = 3) -> str:
-    """Return the upper limit `value` as text with `digits` digits, rounded down so that the written number is allowed."""
+    """Return the upper limit `value` as text with `digits` digits, rounded down so that the text is allowed, too."""
     return _rounded(value, digits, ROUND_FLOOR)
 
 

@@ -68,7 +68,7 @@ class Axis:
         return sum(piece.length for piece in self.pieces)
 
     def segments(self) -> list[dict]:
-        """Return every piece of the axis as a dictionary with its start [m] and its unit tangent there.
+        """Return every piece of the axis as a dictionary that contains its start [m] and its unit tangent at the start.
 
         The key `outward` holds the unit vector from an arc's centre to the arc's start; for a line, it is zero.
         """
@@ -92,13 +92,13 @@ class Axis:
         return result
 
     def hinges(self) -> np.ndarray:
-        """Return the unit normals of the planes in which the arcs lie, shape (arcs, 3)."""
+        """Return the direction of the rotation axis of each arc, which is a normal of its plane, shape (arcs, 3)."""
         found = [np.cross(x["outward"], x["tangent"]) for x in self.segments() if isinstance(x["piece"], Arc)]
         return np.reshape(found, (-1, 3))
 
     @property
     def is_plane(self) -> bool:
-        """Return whether the whole axis lies in one plane."""
+        """True if the whole axis lies in one plane."""
         hinges = self.hinges()
         return bool(np.all(np.abs(np.cross(hinges[:1], hinges)) < 1e-9))
 
@@ -195,9 +195,10 @@ class Axis:
         return points, tangents, np.cross(sides, tangents), sides
 
     def carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
-        """Return the normals at the arc lengths `s` [m] that follow from the normal `side` at the start of the axis.
+        """Return unit normals of the axis at the arc lengths `s` [m], shape (n, 3).
 
-        The unit vector `side` is transported along the axis without twist. The result has the shape (n, 3).
+        The unit vector `side` is the normal at the start of the axis. The other normals result from moving it along the
+        axis without twist.
         """
         s = np.atleast_1d(np.asarray(s, dtype=float))
         found, begin = np.empty((len(s), 3)), 0.0
@@ -272,8 +273,9 @@ class Axis:
     def swept(self, stations: np.ndarray, radius: np.ndarray | float, facets: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a triangle mesh through rings of vertices around the axis, open at both ends, with normals inward.
 
-        The rings lie at the arc lengths `stations` [m], shape (n,). Their `radius` [m] is one number, or one number for
-        each ring. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
+        The rings lie at the arc lengths `stations` [m], shape (n,), and have `facets` vertices each. Their `radius` [m]
+        is one number, or one number for each ring. The result holds vertices [m], shape (v, 3), and faces, shape (f,
+        3).
         """
         points, _, normal, side = self.frame(stations)
         angle = 2 * np.pi * np.arange(facets) / facets

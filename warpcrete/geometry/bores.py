@@ -45,7 +45,7 @@ class Bores:
 
     @property
     def is_straight(self) -> bool:
-        """Return whether the pipe has the same radius everywhere."""
+        """True if the pipe has the same radius everywhere."""
         return self.smallest == self.largest
 
     def at(self, s: np.ndarray | float) -> np.ndarray:
@@ -62,12 +62,18 @@ class Bores:
         return s, self.at(s)
 
     def volume(self, begin: float, end: float) -> float:
-        """Return the volume between two arc lengths [m3]; a bend does not change it (Pappus's theorem)."""
+        """Return the volume [m3] of the pipe between the arc lengths `begin` and `end` [m].
+
+        In a bend, the volume is the same as in straight pipe of the same length (Pappus's theorem).
+        """
         s, r = self._edges(begin, end)
         return float(np.pi / 3 * np.sum(np.diff(s) * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2)))
 
     def surface(self, begin: float, end: float) -> float:
-        """Return the area of the wall between two arc lengths [m2]; a bend does not change it (Pappus's theorem)."""
+        """Return the area [m2] of the pipe's wall between the arc lengths `begin` and `end` [m].
+
+        In a bend, the area is the same as in straight pipe of the same length (Pappus's theorem).
+        """
         s, r = self._edges(begin, end)
         return float(np.pi * np.sum((r[1:] + r[:-1]) * np.hypot(np.diff(s), np.diff(r))))
 
@@ -88,16 +94,17 @@ class Bores:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a triangle mesh of the wall that encloses the same volume as the round pipe.
 
-        The mesh is open at both ends and its normals point inward. The mesh extends `before` [m] beyond the start of
-        the axis and `after` [m] beyond the end of the axis. The result holds vertices [m], shape (v, 3), and faces,
-        shape (f, 3).
+        The mesh has `facets` facets around the circumference, is open at both ends, and its normals point inward. It
+        extends `before` [m] beyond the start of the axis and `after` [m] beyond the end of the axis. The result holds
+        vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         return self.mesh_between(axis, -before, axis.length + after, facets)
 
     def mesh_between(self, axis: Axis, start: float, stop: float, facets: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a triangle mesh of the wall between two arc lengths [m]: vertices [m] (v, 3) and faces (f, 3).
+        """Return a triangle mesh of the wall between the arc lengths `start` and `stop` [m].
 
-        The mesh is open at both ends, its normals point inward, and it encloses the volume of the round pipe.
+        The mesh has `facets` facets around the circumference, is open at both ends, and its normals point inward. It
+        encloses the volume of the round pipe. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         rings = [[start], [stop]] + [[p] for p in self.places if 0 < p < axis.length]
         begin = 0.0

@@ -160,7 +160,8 @@ class Course:
     def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         """Return a hose and the pieces of its axis: a straight line of a given length, or a curve through given points.
 
-        A point has three coordinates relative to the start of the hose [m]: ahead, to the left, and up.
+        `said` holds the entries of the hose in the pipeline's file, and `get` returns the number in an entry. A point
+        has three coordinates relative to the start of the hose [m]: ahead, to the left, and up.
         """
         field = f"part {number}, hose"
         given = said.get("points")
@@ -255,16 +256,19 @@ class Course:
 
 
 def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> None:
-    """Refuse a part that has both of the entries named `one` and `other`, because they exclude each other."""
+    """Refuse a part whose entries `said` contain both `one` and `other`, which exclude each other.
+
+    `field` is the name of the part in the message.
+    """
     if one in said and said.get(other) is not None:
         problem = f"cannot be given together with {other!r}"
         refuse(f"{field}: {one}", said[one], problem, f"leave out {one!r} or {other!r}")
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction stated in a part's entries, divided by the friction of straight pipe of the same length.
+    """Return the friction that a part's entries state, divided by the friction of straight pipe of the same length.
 
-    The result is None if the entries state no friction.
+    `said` holds the entries, and `get` returns the number in an entry. The result is None if no entry states friction.
     """
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
@@ -285,7 +289,11 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
 
 
 def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
-    """Return the resistance of the slip layer in a hose, divided by the resistance of the slip layer in a pipe."""
+    """Return the resistance of a hose's slip layer, divided by the resistance of the slip layer in a pipe.
+
+    The value comes from the entry `layer` of the hose; without this entry it is 1. `field` is the name of the hose in
+    messages.
+    """
     layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
     positive(f"{field}: layer", layer, "")
     if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:

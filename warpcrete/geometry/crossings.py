@@ -43,7 +43,7 @@ def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: f
 
 
 def distances(one: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the shortest distances [m] of a segment (2, 3) from other segments (n, 2, 3) (Ericson 2005, 5.1.9)."""
+    """Return the shortest distances [m] of the segment `one` (2, 3) from `others` (n, 2, 3) (Ericson 2005, 5.1.9)."""
     first, second, between = one[1] - one[0], others[:, 1] - others[:, 0], one[0] - others[:, 0]
     a, e, f = first @ first, np.sum(second**2, 1), np.sum(second * between, 1)
     b, c = second @ first, between @ first

@@ -42,7 +42,7 @@ def _tangents(points: np.ndarray, first: np.ndarray) -> list[np.ndarray]:
 
 
 def _passing(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the unit tangent of the circle through three points, at the middle point."""
+    """Return the unit tangent, at the point `here`, of the circle through three points."""
     one, other = here - before, after - here
     return _unit(_unit(one) * np.linalg.norm(other) + _unit(other) * np.linalg.norm(one))
 

@@ -33,9 +33,9 @@ def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diamete
 
 
 def as_customary(line: PipeLine) -> PipeLine:
-    """Return a copy of a pipeline that was described in metric units, but is to be reported in customary US units.
+    """Return a copy of a pipeline described in metric units, for results in customary US units.
 
-    The labels of the parts of the copy, and all texts about it, have inches, feet and psi. `line` does not change.
+    The labels of the copy's parts, and all texts about the copy, have inches, feet and psi. `line` does not change.
     """
     return replace(line, customary=True, parts=tuple(_labelled(part, part.customary_label) for part in line.parts))
 

@@ -118,7 +118,7 @@ class InnerSurface:
         return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
 
     def _inside(self, s: np.ndarray) -> np.ndarray:
-        """Clip arc lengths [m] to a range that begins and ends a small distance inside the ends of the mesh.
+        """Return the arc lengths `s` [m], limited to a range that keeps a small distance from the ends of the mesh.
 
         This is necessary because rays exactly at a rim or a lid may miss the wall.
         """

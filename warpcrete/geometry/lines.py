@@ -136,8 +136,8 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     """Return a copy of the pipeline in which the largest stone of the concrete has the diameter `stone` [m].
 
-    None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not fit through a part
-    of the pipeline.
+    If `stone` is None, the diameter is unknown. Raises :class:`SceneError` if the stone does not fit through a part of
+    the pipeline.
     """
     for part in line.parts:
         if stone is not None and stone >= part.narrow:

@@ -40,7 +40,7 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest:
 
 
 def _bends_gently(pieces: Sequence[Line | Arc], widest: float) -> bool:
-    """Return whether a curve suits a simulation: each of its arcs has a radius above `widest` [m] and is not tiny.
+    """Return whether the radii of all arcs of a curve exceed `widest` [m] and no arc is tiny, as a simulation requires.
 
     An arc is tiny if it turns by less than `LEAST_TURN`.
     """
@@ -95,9 +95,11 @@ def _longest(
     attempt: Callable[..., Curve], points: np.ndarray, tangents: np.ndarray, here: int, position: np.ndarray,
     tangent: np.ndarray, allowed: float,
 ) -> tuple[Curve, int]:  # fmt: skip
-    """Fit curves with `attempt` from the point with index `here` to later points, and return the longest.
+    """Fit curves with `attempt` from the point with index `here` to later points, and return the longest that fits.
 
-    The second result is the index of the last point on the curve. If no curve fits, the first result is None.
+    The curves begin at `position` with the unit tangent `tangent`, and stay within the distance `allowed` [m] of
+    `points` (n, 3), where the bore has the directions `tangents` (n, 3). The second result is the index of the last
+    point on the curve. If no curve fits, the first result is None.
     """
     best, reached = None, here
     step, last = 1, len(points) - 1
@@ -120,8 +122,8 @@ def _straight(
 ) -> Curve:  # fmt: skip
     """Return the straight line from `position` along `tangent` that ends beside the point with index `stop`.
 
-    The result is None if the line passes too far from the points up to `stop`, or if the tangents at these points
-    deviate too much from the line.
+    The result is None if the line is farther than half the distance `allowed` [m] from a point after the index `here`,
+    up to `stop`, or if the `tangents` at these points deviate too much from the line.
     """
     offset = points[here + 1 : stop + 1] - position
     along = offset @ tangent
@@ -141,8 +143,9 @@ def _biarc(
 ) -> Curve:  # fmt: skip
     """Return two arcs that lead from `position` to the point with index `stop`, or None if they do not fit.
 
-    The arcs do not fit if one of them turns by more than a quarter circle, if `stop` lies behind `position`, or if they
-    pass too far from the points in between. Arcs to the next point always fit.
+    The arcs begin with the unit tangent `tangent` and end with the tangent in `tangents` at `stop`. They do not fit if
+    one of them turns by more than a quarter circle, if `stop` lies behind `position`, or if they are farther than
+    `allowed` [m] from a point in between. Arcs to the point that follows the index `here` always fit.
     """
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None

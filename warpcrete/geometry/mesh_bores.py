@@ -20,12 +20,11 @@ class MeshBore:
     digest: str
     """Hash of the mesh file's content and of its scale."""
     places: tuple[float, ...]
-    """Arc lengths of the stored cross-sections from the start of the bore, increasing [m]."""
+    """Arc lengths at the middle of the stretches of the bore for which radii are stored, increasing [m]."""
     radii: tuple[float, ...]
-    """Radii of circles that have the same areas as the stored cross-sections [m]."""
+    """Radii of circles with the mean cross-sectional areas of the bore's stretches [m]."""
     least: tuple[float, ...]
-    """Radii of the largest circles about the axis that fit into the stored cross-sections without touching the wall
-    [m]."""
+    """Radii of the largest circles about the axis that fit into all cross-sections of the bore's stretches [m]."""
 
     @property
     def ends(self) -> tuple[float, float]:

@@ -27,18 +27,18 @@ STRAIGHT_LENGTH_TOLERANCE = 0.002
 """Largest accepted difference between the length of a straight mesh bore and the length stated for its part, divided by
 the smaller diameter of the bore's two ends."""
 MEASURED = 0.01
-"""Largest accepted difference between the stated length of a bent part and the length measured on its mesh, as a
-fraction of the stated length."""
+"""Largest accepted difference between the stated length of a part that is not straight and the length measured on its
+mesh, as a fraction of the stated length."""
 OVERLAP = 0.005
 """Length by which a round pipe overlaps with the end of a mesh bore, divided by the pipe's diameter."""
 FINE = 0.005
-"""Distance along the axis between neighbouring places at which a mesh bore is measured, divided by the bore's
+"""Distance along the axis between neighbouring cross-sections at which a mesh bore is measured, divided by the bore's
 diameter."""
 STEPS = 4000
-"""Largest number of places at which one mesh bore is measured."""
+"""Largest number of cross-sections at which one mesh bore is measured."""
 PROFILE = 0.05
-"""Distance along the axis between neighbouring places at which the radius of a mesh bore is stored, divided by the
-bore's diameter."""
+"""Length of the stretches of a mesh bore for each of which one mean radius is stored, divided by the bore's
+diameter."""
 FILE_UNITS = {"millimetres": 1e-3, "centimetres": 0.01, "metres": 1.0, "inches": 0.0254, "feet": 0.3048}
 """Units of length of mesh files [m]."""
 Way = tuple[float, float, float]
@@ -111,7 +111,10 @@ def _check_scale(field: str, scale: float, diameter: float) -> None:
 
 
 def _option(field: str) -> str:
-    """Return the beginning of a hint on the scale of a mesh: the option of the command, or the part's entry."""
+    """Return the beginning of a hint that states the right scale of a mesh, such as "use --wall-scale ".
+
+    A scene's mesh has an option for the scale; a mesh in a pipeline file has an entry.
+    """
     return "use --wall-scale " if field == "wall_scale" else "write 'scale' as "
 
 
@@ -148,7 +151,7 @@ def _is_straight(axis: Axis) -> bool:
 def _measured(
     fields: Fields, file: Path, scale: float, digest: str, length: float | None, ways: tuple[Way, ...]
 ) -> MeshBore:
-    """Find the axis of a mesh file and measure its bore.
+    """Find the axis of a mesh file and measure its bore; the arguments are those of :func:`bore_of`.
 
     Results are cached. The `digest` of the file's content is part of the cache key, so that a changed file of the same
     name is read again.
@@ -174,7 +177,10 @@ def _measured(
 
 
 def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field: str, name: str) -> tuple[Axis, float]:
-    """Return the axis of a bore that begins at the mesh's origin, and the bore's radius at the origin [m]."""
+    """Return the axis of a bore that begins at the mesh's origin, and the bore's radius at the origin [m].
+
+    `ways` are the unit directions in which the axis may begin. Error messages show `field` and its value `name`.
+    """
     start = np.zeros(3)
     sections = follow(vertices, faces, start, [np.array(way, float) for way in ways], field, name)
     way = sections.ahead

@@ -101,7 +101,7 @@ def follow(
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
     """Turn the cross-sections of a bore until they are perpendicular to the curve through their centres.
 
-    The function changes the centres `points` and the `radii` in place.
+    The function changes the centres `points` and the `radii` in place. The curve starts in the direction `ahead`.
     """
     for _ in range(TURNING_ROUNDS):
         tangents = directions(points, ahead)
@@ -114,7 +114,11 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
 def _extended_to_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the last cross-section towards the bore's end, as far as it remains closed and keeps its radius."""
+    """Move the last cross-section to the bore's end, or add one there; return the centres and radii [m] of all.
+
+    The end is the farthest position where the cross-section is closed and has the same radius as the last one.
+    `tangents` are the directions of the bore at its cross-sections.
+    """
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > MIN_END_STEP / 4 * radii[-1]:
@@ -138,7 +142,10 @@ def _extended_to_end(
 def _first_direction(
     queries: SurfaceQueries, start: np.ndarray, ways: Sequence[np.ndarray], extent: float, field: str, name: str
 ) -> tuple[np.ndarray, float]:
-    """Return the first of the directions `ways` in which a bore leads away from `start`, and the bore's radius [m]."""
+    """Return the first of the directions `ways` in which a bore leads away from `start`, and the bore's radius [m].
+
+    `extent` is the longest edge of the box around the mesh [m]. Error messages show `field` and its value `name`.
+    """
     beside = None
     for way in ways:
         first = _section(queries, start + NEAREST * extent * way, way, extent)
@@ -163,7 +170,11 @@ def _first_direction(
 def _follow_bore(
     queries: SurfaceQueries, start: np.ndarray, ahead: np.ndarray, radius: float, field: str, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and radii [m] of cross-sections from `start` on, as far as the bore can be followed."""
+    """Return centres and radii [m] of cross-sections from `start` on, as far as the bore can be followed.
+
+    At `start`, the bore has the direction `ahead` and the `radius` [m]. Error messages show `field` and its value
+    `name`.
+    """
     points, radii = [start], [radius]
     tangent, step = ahead, ADVANCE
     while len(points) <= MAX_SECTIONS:
@@ -254,7 +265,8 @@ def _check_open(
 ) -> None:
     """Refuse a bore that continues beyond one of its ends; `words` are the problem and the hint of the message.
 
-    Beyond the end, at most half of the rays perpendicular to the axis may meet a wall.
+    The bore ends at the point `end` if, beyond it in the direction `outward`, at most half of the rays perpendicular to
+    the axis meet a wall.
     """
     normal, side = _across(outward)
     places = end + radius * np.array(END_CHECK_DISTANCES)[:, None] * outward
@@ -275,7 +287,8 @@ def _section(
 ) -> tuple[np.ndarray, float] | None:
     """Return centre and radius [m] of the cross-section perpendicular to `tangent` at a point.
 
-    The result is None if the cross-section is open, because at least one ray from the point meets no wall.
+    `radius` is the expected radius [m]. The result is None if the cross-section is open, because at least one ray from
+    the point meets no wall.
     """
     normal, side = _across(tangent)
     ways = fan(normal, side, AROUND)[0]

@@ -28,8 +28,8 @@ FAN_ROTATION, RETRY_ROTATION = 0.382, 0.1
 first rotation, which keeps the rays away from the edges of regular tubes. If a ray meets no wall, the fan is turned
 further by the second rotation and tried again."""
 ROUNDNESS_TOLERANCE = 0.01
-"""A bore counts as cylindrical if the distance of its wall from the axis differs from the radius of a cylinder by at
-most this fraction of the cylinder's radius."""
+"""Largest difference between the radius of a cylinder and the distances from the axis to a bore's wall with which the
+bore counts as cylindrical, as a fraction of the cylinder's radius."""
 MAX_FACES = 500_000
 """Largest accepted number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
 MAX_EXTENT = 1e4
@@ -37,10 +37,10 @@ MAX_EXTENT = 1e4
 
 
 def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
-    """Read a mesh from a ``trimesh.Trimesh`` or any file that trimesh reads, and clean it with :func:`clean`.
+    """Read a mesh from `source`, a ``trimesh.Trimesh`` or any file that trimesh reads, and clean it with :func:`clean`.
 
-    `scale` is the factor from the mesh's length unit to metres. Raises :class:`SceneError` naming `field` if the mesh
-    cannot be read or holds no usable triangles.
+    `scale` is the factor from the mesh's length unit to metres. Raises :class:`SceneError` about the parameter `field`
+    if the mesh cannot be read or holds no usable triangles.
     """
     import trimesh
 
@@ -80,7 +80,10 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
 
 
 def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> None:
-    """Refuse a mesh with too many triangles, or with corners too far away for the accuracy of the computation."""
+    """Refuse a mesh with too many triangles, or with corners too far from the origin for the accuracy of computations.
+
+    Error messages show `field` and its value `name`. `scale` is the factor from the file's unit to metres.
+    """
     _check_count(len(mesh.faces), field, name)
     farthest = float(np.abs(mesh.vertices).max()) * scale
     if farthest > MAX_EXTENT:
@@ -153,9 +156,10 @@ class Bore:
 
     @classmethod
     def of(cls, reach: np.ndarray) -> Bore:
-        """Return the size of a bore, calculated from the distances `reach` between its axis and its wall [m].
+        """Return the size of a bore, calculated from the distances `reach` [m] between its axis and its wall.
 
-        All rays must have met the wall, so no distance may be -1.
+        Each distance must be the length of a ray that has met the wall; the value -1 for a ray without wall is not
+        allowed.
         """
         return cls(float(reach.min()), float(reach.max()), float(np.pi * np.mean(reach**2)))
 
@@ -167,9 +171,9 @@ class Bore:
 
 
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
-    """Return the arc lengths [m] between `begin` and `end` at which a pipe is measured.
+    """Return the arc lengths [m] between `begin` and `end` at which a pipe of `radius` [m] is measured.
 
-    The first and the last one have a small distance from the ends of the pipe, which may be closed by lids.
+    The first and the last arc length have a small distance from the ends of the pipe, which may be closed by lids.
     """
     inset = min(0.02 * radius, 0.25 * (end - begin))
     return np.linspace(begin + inset, end - inset, max(8, int((end - begin) / radius)))

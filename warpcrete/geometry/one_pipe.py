@@ -42,8 +42,9 @@ def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
 def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
     """Return the parameters that follow from the mesh `wall` of a scene: `unit` and the inlet's `diameter` [m].
 
-    The parameter `unit` is the kind of pipe, here "mesh". The result is empty without a mesh, or if the parameters name
-    another unit. `ways` are the directions in which the bore may begin at the mesh's origin.
+    `values` holds the parameters that the user set. The parameter `unit` is the kind of pipe, here "mesh". The result
+    is empty without a mesh, or if `values` names another unit. `ways` are the directions in which the bore may begin at
+    the mesh's origin.
     """
     wall, unit = values.get("wall"), values.get("unit", "mesh")
     if wall is None or unit != "mesh" or values.get("line") is not None:

@@ -12,7 +12,7 @@ from .mesh_bores import MeshBore
 from .pumps import Pump
 
 BLOCKING_RATIO = 3.0
-"""A pipe is known to block if its diameter is less than this number times the diameter of the largest stone. ACI 304.2R
+"""Smallest ratio of pipe diameter to the diameter of the largest stone with which a pipe does not block. ACI 304.2R
 requires 3 for crushed stone."""
 
 
@@ -62,12 +62,12 @@ class Part:
 
     @property
     def narrow(self) -> float:
-        """Smallest clear width across the part's axis [m]."""
+        """Smallest width of the bore across the axis [m]."""
         return min(self.diameter, self.outlet, self.mesh.narrowest if self.mesh else math.inf)
 
     @property
     def is_by_length(self) -> bool:
-        """Return whether the part's pressure loss is proportional to its length."""
+        """True if the part's pressure loss is proportional to its length."""
         return self.kind in ("straight", "hose", "valve")
 
     @property
@@ -98,9 +98,10 @@ class Part:
 
     @property
     def loss_key(self) -> tuple[Any, ...]:
-        """Key that is equal for parts with the same pressure loss.
+        """Key under which the simulated friction of the part is stored.
 
-        For straight pipes, hoses and valves, the loss divided by length and `relative_loss` is the same.
+        Parts with equal keys have the same friction. For straight pipes, hoses and valves, this holds for the friction
+        divided by the length and by `relative_loss`.
         """
         if self.is_by_length:
             return ("straight", self.diameter, self.layer)

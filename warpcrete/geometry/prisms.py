@@ -48,10 +48,10 @@ class Solid:
 
 
 def truncated_cone(base: float, top: float, height: float, sides: int = SIDES) -> Solid:
-    """Return an upright truncated cone about the z axis with its base at z = 0.
+    """Return an upright truncated cone of `height` [m] about the z axis with its base at z = 0.
 
-    `base` and `top` are the radii of its ends [m]. The corners of the mesh lie slightly outside the cone, so that the
-    mesh has the volume of the exact cone.
+    `base` and `top` are the radii of its ends [m]. The mesh has `sides` flat sides. Its corners lie slightly outside
+    the cone, so that the mesh has the volume of the exact cone.
     """
     angle = 2 * np.pi * np.arange(sides) / sides
     # A regular polygon with n sides, whose corners have the distance r from its centre, has the area n r^2 sin(2 pi /
@@ -62,25 +62,29 @@ def truncated_cone(base: float, top: float, height: float, sides: int = SIDES) -
 
 
 def prism(corners: Sequence[tuple[float, float]], breadth: float, middle: tuple[float, float]) -> Solid:
-    """Return a prism from a cross-section in x and z [m], extruded from y = -breadth/2 to y = breadth/2.
+    """Return a prism whose cross-section in x and z has the `corners` [m]; it reaches from y = -breadth/2 to breadth/2.
 
-    The two ends are divided into triangles that meet at the point `middle`. Every point of the cross-section must
-    therefore be visible from this point.
+    The two ends are divided into triangles that meet at the point `middle` of the cross-section. Every point of the
+    cross-section must therefore be visible from this point.
     """
     ends = [np.insert(np.array(corners, dtype=float), 1, y, axis=1) for y in (-breadth / 2, breadth / 2)]
     return _between(*ends, np.array([[middle[0], y, middle[1]] for y in (-breadth / 2, breadth / 2)]))
 
 
 def rectangle(corner: Sequence[float], one: Sequence[float], other: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (4, 3) [m] and faces (2, 3) of a parallelogram, given by a corner and two edge vectors."""
+    """Return a parallelogram, given by a corner and the vectors `one` and `other` along two edges [m].
+
+    The result holds vertices [m], shape (4, 3), and faces, shape (2, 3).
+    """
     start, a, b = (np.array(v, dtype=float) for v in (corner, one, other))
     return np.array([start, start + a, start + a + b, start + b]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def _between(first: np.ndarray, last: np.ndarray, middles: np.ndarray) -> Solid:
-    """Return the solid between two rings of n corners each, both listed in the same direction of rotation.
+    """Return the solid between two rings `first` and `last` of n corners each [m], shape (n, 3).
 
-    Each end of the solid is closed by n triangles that meet at a point; `middles` holds this point for both ends.
+    Both rings are listed in the same direction of rotation. Each end of the solid is closed by n triangles that meet at
+    a point; `middles` holds this point for both ends.
     """
     n = len(first)
     vertices = np.concatenate([first, last, middles])

@@ -39,7 +39,10 @@ def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _connected(faces: np.ndarray, corners: int) -> list[np.ndarray]:
-    """Return the face indices of each connected component of a mesh; faces with a common corner are connected."""
+    """Return the face indices of each connected component of a mesh with `corners` corners.
+
+    Faces with a common corner are connected.
+    """
     label = np.arange(corners)
     while True:
         lowest = label[faces].min(axis=1)

@@ -107,8 +107,9 @@ class Surfaces:
 def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
     """Return an adjacency list for each of the `count` corners of a mesh.
 
-    A list contains the lowest index of the faces at the corner, followed by the corners at the other ends of the edges
-    at this corner.
+    A list contains the lowest index of the faces at the corner, followed by the corners at the other ends of the
+    `edges` at this corner. The index `first_corner` of the mesh's first corner is added to all corners, but not to the
+    face.
     """
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))

@@ -16,8 +16,8 @@ SIDES = 48
 """Number of flat sides with which recorders draw a round wall."""
 MOST_STOPS = 1_000_000
 PARALLEL = 1e-6
-"""A pipe counts as moving along its axis if the sine of the angle between its velocity and its axis is at most this
-number."""
+"""Largest sine of the angle between a pipe's velocity and its axis for which the pipe counts as moving along
+its axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +156,10 @@ class _Wall:
         return float(np.linalg.norm(motion.velocity)) + lever * float(np.linalg.norm(motion.spin))
 
     def fill(self, row: Any, add_axis: AddAxis) -> None:
-        """Write the wall's shape and motion into `row`, the entry of the wall in a table on the device."""
+        """Write the wall's shape and motion into `row`, the entry of the wall in a table on the device.
+
+        A pipe adds its axis to the table of axis pieces with `add_axis`.
+        """
         row.motion = int(FIXED)
         if self.motion is not None:
             self.motion.fill(row)

@@ -30,7 +30,8 @@ PAINT_LEGEND = "legend_of_walls"
 FLAT = 1e-9
 """Distance from the cutting plane up to which a vertex lies in this plane [m]."""
 Shown = tuple[str, list[str], "dict[str, Any] | None"]
-"""Title, contents and overrides of a three-dimensional view."""
+"""Title, contents and overrides of a three-dimensional view. The contents are rules that include or exclude paths of
+the recording, and the overrides replace recorded values in this view only."""
 CUT_OPACITY = 150
 """Minimum opacity, from 0 to 255, of the half of a wall that remains in the view of the cut scene."""
 
@@ -38,7 +39,8 @@ CUT_OPACITY = 150
 def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
     """Return the layout of the Rerun viewer for the views, plots and legends that `display` supplies.
 
-    `duration` is the simulated time of the run [s]; the viewer plays short runs in slow motion.
+    `network` adds a view of the force chains, and `legend` adds the legend. `duration` is the simulated time of the run
+    [s]; the viewer plays short runs in slow motion.
     """
     import rerun.blueprint as rrb
 
@@ -82,7 +84,7 @@ def plot_title(plot: Plot) -> str:
 
 
 def _arranged(display: Display, shown: list[Shown]) -> Any:
-    """Arrange the views: in a row if the scene is tall, in a column if it is wide, and in two columns otherwise.
+    """Return the layout of the views `shown`: a row if the scene is tall, a column if it is wide, or else two columns.
 
     If there are only two views, they form a row or a column, whichever shows the scene larger.
     """
@@ -99,7 +101,7 @@ def _arranged(display: Display, shown: list[Shown]) -> Any:
 
 
 def _scenes(display: Display, network: bool) -> list[Shown]:
-    """Return the contents of the three-dimensional views: the whole scene, a cut through it, and the force chains."""
+    """Return the three-dimensional views: the whole scene, a cut through it and, with `network`, the force chains."""
     noun = display.noun
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
     found: list[Shown] = [(noun.capitalize(), whole, None)]
@@ -124,7 +126,7 @@ def _scenes(display: Display, network: bool) -> list[Shown]:
 def _view(display: Display, shown: Shown, aspect: float) -> Any:
     """Return a view with a camera that is as close as possible and still sees the whole scene.
 
-    `aspect` is the width of the view divided by its height.
+    `shown` holds the title and the contents of the view. `aspect` is the width of the view divided by its height.
     """
     import rerun.blueprint as rrb
 

@@ -19,7 +19,7 @@ def legend_title(display: Display) -> str:
 
 
 def capitalised(title: str) -> str:
-    """Return the text with a capital first letter; the rest, such as units, does not change."""
+    """Return `title` with a capital first letter and no other change."""
     return title[:1].upper() + title[1:]
 
 

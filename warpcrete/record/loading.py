@@ -100,7 +100,11 @@ def is_finished(folder: Path) -> bool:
 
 @names_from_file()
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """Return the contents of a run folder's scene.json, and the Python module of the scene that the file names."""
+    """Return the contents of a run folder's scene.json, and the Python module of the scene that the file names.
+
+    `known` maps the names of all scenes to their modules. Raises :class:`RunFolderError` if it lacks the scene, or if
+    the scene does not have a parameter in the file.
+    """
     record = read_record(path)
     if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
         raise RunFolderError(

@@ -125,7 +125,7 @@ class ParaViewRecorder(Recorder):
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
     def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
-        """Wait for the background jobs, then return the number of frames so far, which a resumed run needs."""
+        """Wait for the background jobs, then return the number of frames recorded so far, which a resumed run needs."""
         self._later.wait()
         return {"frames": self._frames}
 
@@ -156,7 +156,7 @@ class Poly:
     def add(self, time: float, points: np.ndarray, cells: np.ndarray, fields: dict[str, np.ndarray]) -> None:
         """Add one frame: points (n, 3) [m], cells as indices of points (m, k), and fields of the points.
 
-        The frame is kept in memory until :meth:`write` is called.
+        `time` is the simulated time [s]. The frame is kept in memory until :meth:`write` is called.
         """
         self._pending_frames.append((time, points.astype(np.float32), cells.astype(np.int64), fields))
 

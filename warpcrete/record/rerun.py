@@ -170,7 +170,10 @@ class RerunRecorder(Recorder):
             self._draw_profile(profile)
 
     def _draw_surface(self, display: Display, path: str, cut: bool = False) -> None:
-        """Record the surface of the concrete, or only its colours if its shape is the same as in the previous frame."""
+        """Record the surface of the concrete, or only its colours if its shape is the same as in the previous frame.
+
+        If `cut` is true, the concrete in front of the display's cutting plane is left out.
+        """
         surface = display.surface(cut)
         assert surface is not None
         fields: dict[str, Any] = {"vertex_colors": packed(display.surface_colours(surface))}
@@ -205,7 +208,8 @@ class RerunRecorder(Recorder):
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
         """Record the texture with all colours of walls that show a quantity, and the legend, as static data.
 
-        The viewer uses the last version of static data for all frames, so a new scale also applies to earlier frames.
+        `painted` holds the paths of these walls in the recording. The viewer uses the last version of static data for
+        all frames, so a new scale also applies to earlier frames.
         """
         rr = self._rr
         from rerun.components import ImageFormat
@@ -292,7 +296,7 @@ class RerunRecorder(Recorder):
         self._stream.log(path, what, static)
 
     def _log_zeros(self, display: Display, time: float, steps: int) -> None:
-        """Record one point in every plot, so that the axis of values begins at zero."""
+        """Record one point with the value 0 in every plot, so that the axis of values begins at zero."""
         self._stream.set_time(time, steps)
         for plot in display.plots():
             self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[THEORY], names="zero"), static=True)

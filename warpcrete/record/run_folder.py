@@ -27,8 +27,9 @@ SAME_RUN = ("scene", "parameters", "files", "device", "precision", "command")
 def scene_record(simulation: SimulationBase, command: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
-    If the scene was modified after its function had built it, or was built by hand, the fields that the function would
-    build differently are stored under `modified`. The run cannot be repeated from such a scene.json.
+    `command` holds settings that are stored for a resumed run. If the scene was modified after its function had built
+    it, or was built by hand, the fields that the function would build differently are stored under `modified`. The run
+    cannot be repeated from such a scene.json.
     """
     scene = simulation.scene
     made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()
@@ -114,7 +115,10 @@ class TableRecorder(Recorder):
         self.close(simulation)
 
     def _write_early_end(self, simulation: SimulationBase, ending: Ending) -> None:
-        """Write the result.json of a run that ended before its first row; keep an earlier result.json with results."""
+        """Write the result.json of a run that ended before its first row of the time series, with the reason `ending`.
+
+        If the folder already has a result.json with results, keep that file.
+        """
         path = self.folder / "result.json"
         if path.is_file() and "steps" in read_json(path):
             return
@@ -207,9 +211,10 @@ def _check_same_run(path: Path, record: dict[str, Any]) -> None:
 
 
 def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """Return in words the first entry that differs between two records, with both values; empty if they agree.
+    """Return a text on the first entry that differs between two records, with both values; empty if the records agree.
 
-    The time between checkpoints may differ, because it has no effect on results.
+    `there` is the saved record, and `here` is the record of the present run. The time between checkpoints may differ,
+    because it has no effect on results.
     """
     for name in dict.fromkeys([*there, *here]):
         old, new = there.get(name), here.get(name)

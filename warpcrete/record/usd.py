@@ -306,7 +306,11 @@ class _Points:
 
 
 def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Return the lowest and the highest corner of the box around all bodies [m], shape (2, 3)."""
+    """Return the lowest and the highest corner of the box around all bodies [m], shape (2, 3).
+
+    `places` are the centres of the bodies [m], and `reach` is the largest distance of each body's surface from its
+    centre [m]. For a surface, `places` are its vertices and `reach` is 0.
+    """
     # Store the values of each coordinate next to each other in memory, so that NumPy finds their minimum ten times as
     # fast.
     x = np.ascontiguousarray(places.T)

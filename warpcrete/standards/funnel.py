@@ -7,8 +7,8 @@ from ..theory.vessels import funnel_time
 from .standard_test import ClosedForm, Outcome, Outflow, Sizes, Specimen, StandardTest
 
 LIGHT = 0.5
-"""Fraction of the outlet, seen from above, that concrete must still cover while the test goes on. Below this fraction
-the V-funnel counts as empty, because light can be seen through it."""
+"""Fraction of the outlet, seen from above, that concrete covers when the test ends. Below this fraction, the V-funnel
+counts as empty, because light can be seen through the outlet."""
 
 
 def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:

@@ -114,7 +114,10 @@ class ClosedForm:
         return f"{self.quantity}_{self.suffix}"
 
     def value(self, known: Outcome) -> float | None:
-        """Return the predicted value; None if the closed form does not hold or the concrete is unknown."""
+        """Return the value predicted for the run `known`.
+
+        The result is None if the closed form does not hold for the run, or if the concrete is unknown.
+        """
         return None if known.concrete is None else self.of(known)
 
 
@@ -176,17 +179,20 @@ class StandardTest:
         return _by_name, (self.name, self.measure.__module__)
 
     def check_dimensions(self, given: Sizes) -> None:
-        """Raise :class:`warpcrete.SceneError` if a dimension that the test needs is missing."""
+        """Raise :class:`warpcrete.SceneError` if `given` lacks a dimension that the test needs."""
         if missing := [name for name in self.dimensions if name not in given]:
             problem = f"has no {', '.join(missing)}, which the test {self.name!r} needs"
             refuse("dimensions", dict(given), problem, "add the missing dimensions")
 
     def sizes(self, given: Any) -> dict[str, float]:
-        """Return the dimensions of the vessel, from the parameters of a scene."""
+        """Return the dimensions of the vessel [m] by name, taken from the scene parameters `given`."""
         return {name: getattr(given, name) for name in self.dimensions}
 
     def is_over(self, row: Row) -> bool:
-        """Return whether the concrete has flowed out; always False for tests that end at rest."""
+        """Return whether the concrete has flowed out, according to a row of the time series.
+
+        The result is always False for tests that end when the concrete is at rest.
+        """
         return self.outflow is not None and row[self.outflow.column] < self.outflow.below
 
     def with_forms(self) -> Iterator[Quantity]:
@@ -202,7 +208,7 @@ class StandardTest:
                 yield Quantity(form.name, each.unit, form.value, meaning=meaning)
 
     def estimates(self, known: Outcome) -> dict[str, float]:
-        """Return the quantities that closed forms predict, by name."""
+        """Return the quantities that closed forms predict for the run `known`, by name."""
         found = ((form.quantity, form.value(known)) for form in self.forms if form.is_estimate)
         return {name: float(value) for name, value in found if value is not None}
 
@@ -258,9 +264,9 @@ def quantities_of_tests(
 def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
     """Return whether the concrete was slower than `rest_speed` [m/s] throughout the last `RESTED` seconds.
 
-    The result is False until `RESTED` seconds have passed since the concrete was free to flow, at the time `opened`
-    [s]. The compared speed is a speed that most of the concrete does not exceed, if `rows` contain it, otherwise the
-    largest speed.
+    `opened` is the simulated time at which the concrete was free to flow [s]; until `RESTED` seconds later, the result
+    is False. If `rows` contain a speed that most of the concrete does not exceed, this speed is compared with
+    `rest_speed`, otherwise the largest speed.
     """
     now, column = rows[-1]["time"], MOST if MOST in rows[-1] else FASTEST
     late = (row[column] for row in rows if row["time"] > now - RESTED - 1e-9)
@@ -268,7 +274,7 @@ def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
 
 
 def report_unrest(run: Run, test: StandardTest | None) -> Iterator[tuple[str, str]]:
-    """Yield a line for the report if the run has ended before the concrete was at rest or had flowed out."""
+    """Yield a line for the report if the concrete was neither at rest nor had flowed out when the run ended."""
     result = run.result
     is_out = test is not None and test.outflow is not None and test.outflow.time in result
     if run.finished and not result["at_rest"] and not is_out:
@@ -276,7 +282,7 @@ def report_unrest(run: Run, test: StandardTest | None) -> Iterator[tuple[str, st
 
 
 def _beside(quantity: Quantity, forms: Sequence[ClosedForm]) -> Callable[[Run], str]:
-    """Return a function that takes a run and formats a result, followed by closed-form values in parentheses."""
+    """Return a function that takes a run and formats the value of `quantity`, with the closed forms in parentheses."""
     factor, unit, digits, fewer = FORMATS[quantity.unit]
 
     def words(run: Run) -> str:

@@ -106,8 +106,10 @@ if TYPE_CHECKING:
         """
 
     def array_scan(in_array: DeviceArray, out_array: DeviceArray, inclusive: bool) -> None:
-        """Write the prefix sums of `in_array` to `out_array`; with `inclusive`, a sum contains the element at its
-        index."""
+        """Write the prefix sums of `in_array` to `out_array`.
+
+        If `inclusive` is true, the sum at an index contains the element at this index.
+        """
 
     def radix_sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, end_bit: int) -> None:
         """Sort the first `count` keys and their values by the lowest `end_bit` bits of the keys."""
