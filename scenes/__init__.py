@@ -64,10 +64,10 @@ def modules() -> dict[str, ModuleType]:
 
 
 def _second(file: ModuleType) -> ModuleType:
-    """Return a module for the scene NAME-dem, if the file of NAME defines both the flow and the discrete elements.
+    """Return the module of the scene NAME-dem, whose members `file`, the module of the scene NAME, also defines.
 
-    The module has the members `scene`, `check` and `trading`, like the modules of other scenes. It can be imported as
-    NAME_dem, because worker processes of studies import scenes by name.
+    The returned module has the members `scene`, `check` and `trading`, like the modules of other scenes. It can be
+    imported as NAME_dem, because worker processes of studies import scenes by name.
     """
     name = f"{file.__name__}_dem"
     if name not in sys.modules:

@@ -124,7 +124,11 @@ def scene(parameters: BoxParameters) -> FreeScene:
 
 
 def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
-    """Yield the upright bars in the simulated half of the L-box; a bar on the symmetry plane is yielded whole."""
+    """Yield the upright bars in the simulated half of the L-box.
+
+    Their centres lie one bar diameter behind the coordinate x = `place` [m]. A bar on the plane of symmetry is yielded
+    whole.
+    """
     # Import trimesh only here, because this takes half a second, which runs without bars need not spend.
     import trimesh
 

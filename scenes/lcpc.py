@@ -108,7 +108,7 @@ class LongBox:
     lift_time: Annotated[float, "Duration of lifting the gate by the height of the box [s]", Above()] = 5.0
 
     def check_length(self) -> None:
-        """Refuse an LCPC box that is too short for the concrete to spread."""
+        """Raise :class:`SceneError` if the LCPC box is too short for the concrete to spread."""
         if self.length < self.column_length + 0.1:
             refuse("length", self.length, "must exceed the length of the concrete at the start, "
                                           f"{self.column_length:g} m, by at least 0.1 m",

@@ -245,7 +245,8 @@ def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, en
     reach = bore_probes(pipe, axis, given.radius, end, around=72, begin=begin)
     if np.any(reach < 0):
         hint = "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes"
-        refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} rays hit no wall", hint)
+        problem = f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} rays from the axis hit no wall"
+        refuse("wall", given.wall, problem, hint)
     bore = Bore.of(reach)
     return None if bore.is_round(given.radius) else bore
 

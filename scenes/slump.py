@@ -128,7 +128,7 @@ def lifted_mould(
 def _check_aggregates(given: SlumpParameters) -> None:
     """Raise :class:`SceneError` for aggregates that cannot be simulated in a mould."""
     top = given.top_diameter / 2
-    given.check_largest(MAX_PART * top, f"a quarter of the cone is simulated, whose top is {top:g} m wide")
+    given.check_largest(MAX_PART * top, f"a quarter of the cone is simulated, and its top is only {top:g} m wide")
     if given.lift_time and given.precision == "float32":
         refuse("precision", given.precision, "is too low for aggregates in a mould: mortar in a mould hardly deforms, "
                "so the solve does not converge in single precision",

@@ -37,10 +37,10 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     - `inner`: inner product of two values.
     - `divided`: preconditioned residual of one particle: its residual divided by the diagonal coefficient of its row.
-    - `share`: preconditioner for one rigid grain, whose particles do not use `divided`. It stores the preconditioned
-      residual of each particle of the grain, a rigid motion due to the resultant force and moment of the grain's
-      residual. It returns the grain's share in the inner products of the residual with the preconditioned residual and,
-      after projection onto rigid motions, with itself.
+    - `share`: preconditioner for one rigid grain, used instead of `divided` for the grain's particles. It stores their
+      preconditioned residual, a rigid motion due to the resultant force and moment of the grain's residual. It returns
+      the grain's contribution to two inner products: residual times preconditioned residual, and the residual's
+      projection onto rigid motions times itself.
     - `bounded`: the row's product with the unknowns, corrected for boundary conditions. For velocities, it adds the
       resistance of the wall (`drag`) to motion along the wall. For scalars, it returns zero at the free surface.
 

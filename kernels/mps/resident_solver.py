@@ -28,7 +28,10 @@ WIDE, SMALL = 1024, 40_000
 
 
 def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tuple[int, int]:
-    """Return the threads per block and the number of blocks for one of `abreast` solves that share the device."""
+    """Return the threads per block and the number of blocks for one of `abreast` solves that share the device.
+
+    The matrix of the solve has the given number of `rows` with at most `near_capacity` off-diagonal entries each.
+    """
     if rows * near_capacity <= SMALL:
         return WIDE, 1
     room = RESIDENT * device.sm_count // abreast if device.is_cuda else 1

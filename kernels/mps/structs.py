@@ -58,7 +58,7 @@ def flow_struct(scalar):
         slip_viscosity: scalar  # Viscous constant eta_L of the slip layer [Pa s/m].
         slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
         slip_index: scalar  # Flow index n of the slip layer's law.
-        slip_quadratic: scalar  # Coefficient of the squared velocity of the slip layer [Pa s2/m2].
+        slip_quadratic: scalar  # Coefficient of the squared slip velocity [Pa s2/m2].
 
         # Fraction of the density error (relative excess of a particle's density sum) that one step removes.
         correction: scalar
@@ -119,8 +119,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         fluid_inverse: wp.array(dtype=t.mat)
         # Inverse of each particle's moment matrix of all neighbours, walls included [1/m2], shape (n,).
         all_inverse: wp.array(dtype=t.mat)
-        # Number of dimensions divided by the sum of each particle's weights, which calibrates the Laplacian, shape
-        # (n,).
+        # Factor that calibrates the Laplacian: number of dimensions divided by the sum of the weights of a particle's
+        # neighbours, shape (n,).
         inverse_number: wp.array(dtype=scalar)
         # Area of the wall that each particle represents, divided by the particle's volume, before multiplication by
         # `wall_scale` [1/m], shape (n,).
@@ -224,7 +224,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             change: wp.array(dtype=value)
             # Product of the summed residual `load` and the solution in each cube of the coarse grid, shape (cubes,).
             inner: wp.array(dtype=wp.float64)
-            partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk, for up to three sums.
+            partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk, for up to three totals.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
 
             # Number of iterations, and norm of the residual at the start and at the end of the solve, shape (OUTCOME,).

@@ -214,7 +214,7 @@ def test_frames_turn_places_and_turn_them_back():
         ({"flow": 0.0}, "flow = 0.0"),
         ({"unit": "sideways"}, "unit = 'sideways'"),
         ({"straight": 0.05}, "straight = 0.05: is too short to measure the pressure loss of straight pipe"),
-        ({"unit": "horizontal", "straight": 0.05}, "measure the pressure loss of straight pipe, half of the pipe; use"),
+        ({"unit": "horizontal", "straight": 0.05}, "straight pipe; this length is half of the pipe; use"),
         ({"slip_thickness": 0.06, "slip_viscosity": 900.0}, "slip_thickness = 0.06"),
         ({"flow": float("nan")}, "flow = nan"),
         ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': cannot be read"),

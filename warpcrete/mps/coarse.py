@@ -34,8 +34,8 @@ class CoarseGrid:
     def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
         """Build the cubes around a column of concrete in a pipe with the `radius` [m].
 
-        `layout` holds the initial positions of the particles. Two particles are neighbours if their distance is at most
-        `reach` [m].
+        `structs` contains the struct types of the kernels. `layout` holds the initial positions of the particles. Two
+        particles are neighbours if their distance is at most `reach` [m].
         """
         self.width, self.radius, axes = max(WIDTH * layout.spacing, reach), radius, layout.fluid.shape[1]
         wide, tall = (max(3, math.ceil(size / self.width)) for size in (2 * radius, ABOVE * layout.height))
@@ -52,10 +52,10 @@ class CoarseGrid:
         self.arrays.neighbour = wp.array(self._neighbours().ravel(), dtype=wp.int32, device=device)
 
     def _neighbours(self) -> np.ndarray:
-        """Return for each cube the index of the cube itself and of all cubes around it, shape (3^axes, cubes).
+        """Return for each cube the indices of the cube itself and of all cubes around it, shape (3^axes, cubes).
 
-        An index of -1 means that there is no cube at this place. Each entry of the first dimension belongs to one
-        offset from the cube, which is -1, 0 or 1 along each axis; the offset along the first axis varies fastest.
+        Each entry of the first dimension belongs to one offset from the cube, which is -1, 0 or 1 along each axis; the
+        offset along the first axis varies fastest. If the grid ends before the cube at an offset, the index is -1.
         """
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)

@@ -132,11 +132,11 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def phases(self, concrete: Concrete, dimensions: int) -> tuple[Concrete, Aggregates | None]:
-        """Return the concrete as one fluid, and its aggregate and mortar (None in a flow with one phase).
+        """Return the concrete as one fluid, and the data of its aggregate and mortar (None for a flow with one phase).
 
         `concrete` has the constants that the parameters state. If the parameters also state the viscosity or the yield
-        stress of the mortar, that constant of the concrete is replaced by the value that homogenisation gives for the
-        mortar with its aggregate, so that theory describes the simulated concrete.
+        stress of the mortar, the same constant of the returned concrete is computed by homogenisation of the mortar and
+        its aggregate. Theory then describes the simulated concrete.
         """
         fraction = self.aggregate_fraction
         if not self.aggregates or fraction == 0:
@@ -144,7 +144,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         if fraction is None:
             if self.concrete not in MIXES:
                 problem = f"must be stated, because concrete {self.concrete!r} has no known gravel content"
-                refuse("aggregate_fraction", None, problem, "for example 0.3, the volume fraction")
+                refuse("aggregate_fraction", None, problem, "use the volume fraction of the gravel, for example 0.3")
             fraction = MIXES[self.concrete]["gravel"] / self.aggregate_density
         by_dimension = "discs" if dimensions == 2 else "spheres"
         inclusions = self.inclusions if self.inclusions != "auto" else by_dimension
@@ -174,11 +174,12 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
-        """Return the kind of the pipe's ends, "piston" or "periodic"; if `ends` is "auto", choose the one for the flow.
+        """Return the kind of the pipe's ends, "piston" or "periodic"; if `ends` is "auto", choose a kind for the flow.
 
         `flow` is the volume flow [m3/s], and `bulk` the pipe's radius minus the thickness of the slip layer [m]. If
-        concrete slips little, a column of particles on a piston loses volume, and its forces do not balance.
-        Therefore "piston" is chosen only for flows with much slip, or with aggregates.
+        concrete slips little, a column of particles on a piston loses volume, and its forces do not balance. The choice
+        is therefore "piston" only for flows with much slip or with aggregates. It is "periodic" for flows that need a
+        grid because of a rest, a rebuilding structure or adaptive time steps.
         """
         if self.ends != "auto":
             return self.ends
@@ -365,12 +366,13 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Return variants of a flow, as changed parameters by a description of the variant.
+    """Return the changed parameters of each variant of a flow, by a description of the variant.
 
-    A trade-off study measures the accuracy of its settings also on these variants, by comparison with theory. The
-    variants have other concretes, flow rates and pipes, and one phase. The flow rate changes the ratio of slip to mean
-    velocity, and the self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends
-    (piston or periodic) as the flow itself, because the settings found for the flow are applied to its variants.
+    A trade-off study compares its settings with theory for the flow itself and for these variants, which have other
+    concretes, flow rates or pipes. A change of the flow rate changes the ratio of slip velocity to mean velocity. The
+    self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends (piston or periodic)
+    as the flow itself, because the settings found for the flow are applied to its variants. The result is empty for
+    flows with aggregates or with a stated pressure.
     """
     if given.aggregates or given.pressure is not None:
         return {}

@@ -36,7 +36,7 @@ class FlowDisplay(Display):
 
     @property
     def direction(self) -> tuple[float, float, float]:  # type: ignore[override]
-        """Direction from the flow to the viewer: along -y for a channel, also slightly sideways and up for a tube."""
+        """Direction from the flow to the viewer: -y for a channel; for a tube, -y with small parts of +x and +z."""
         aside = 0.0 if self.simulation.scene.dimensions == 2 else 0.25
         return aside, -1.0, 0.1 * aside
 
@@ -94,7 +94,7 @@ class FlowDisplay(Display):
         return (np.where(coarse[:, None], GRAIN, MORTAR) * shade[:, None]).astype(np.uint8)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return plots over time: driving pressure and slip velocity, each with the constant value by theory."""
+        """Return plots over time of driving pressure and slip velocity, each with the value that theory predicts."""
         theory = self.simulation.scene.theory()
         return (
             Plot("pressure", self.pressure_label.capitalize(), (
@@ -108,7 +108,7 @@ class FlowDisplay(Display):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return a plot of the velocity profile at mid-height of the column, with the profile by theory."""
+        """Return a plot of the velocity profile at mid-height of the column, with the profile that theory predicts."""
         place = "distance from the middle" if self.simulation.scene.dimensions == 2 else "radius"
         title = f"Velocity [cm/s] over {place} [mm]"
         return (Profile("velocity", title, (

@@ -71,9 +71,10 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return the remaining part of the yield stress gained at rest [Pa], in the slip layer and in the concrete.
+    """Return the remaining part of the yield stress gained at rest [Pa], in the slip layer and in the bulk beside it.
 
-    Both values are means along the wall. The result is empty for concrete without thixotropy.
+    Both values are means along the wall. `beside` contains the numbers of the cells at the wall, counted across the
+    pipe. The result is empty for concrete without thixotropy.
     """
     if not flow.state.layout.kind.thixotropic:
         return {}
@@ -106,7 +107,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return the theoretical velocity of each cell [m/s], a mean over its width; cells are sorted by distance."""
+    """Return the theoretical velocity of each cell [m/s], averaged over its width, in the order of :func:`profile`."""
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
         nx, POINTS_PER_CELL

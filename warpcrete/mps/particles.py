@@ -179,7 +179,8 @@ class MovingParticles(Stepping):
     def _check_memory(self, near: int, far: int, wall: int) -> None:
         """Raise :class:`CapacityError` if the neighbour lists do not fit in the free memory of the device.
 
-        The estimate adds a tenth for all other arrays of the particles.
+        `near`, `far` and `wall` are the numbers of entries of the three lists of a particle. The estimate adds a tenth
+        for all other arrays of the particles.
         """
         size = wp.types.type_size_in_bytes(self.scalar)
         needed = 1.1 * self.count * ((4 + 2 * size) * near + 4 * (far + wall))

@@ -210,7 +210,7 @@ class FluidScene(Parametrised, FlowSettings):
             refuse(name, getattr(self, name), problem, f"leave out {name!r} or 'aggregates'")
         for name in ("rest", "rebuild_rate"):
             if self.ends == "piston" and getattr(self, name):
-                problem = "needs a flow on a grid, because a column of particles cannot track its structure"
+                problem = "needs a flow on a grid, because a column of particles cannot track the structure"
                 refuse(name, getattr(self, name), problem, f"set 'ends' to periodic, or {name!r} to 0")
         if self.ends == "piston" and self.step_error:
             problem = "needs a flow on a grid, because all time steps of a column of particles are equal"
@@ -271,7 +271,7 @@ class FluidScene(Parametrised, FlowSettings):
         return self.concrete.density * self.gravity * self.length
 
     def friction(self, wall_stress: float) -> float:
-        """Return the loss of pressure per length [Pa/m] for a shear stress of the wall [Pa], without weight."""
+        """Return the loss of pressure per length [Pa/m] that a wall shear stress [Pa] causes, without weight."""
         return (self.dimensions - 1) * wall_stress / self.radius
 
     @property

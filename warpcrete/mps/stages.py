@@ -101,9 +101,9 @@ class StepPart:
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier_stages]
 
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches a kernel with `number` whole thread blocks of a GPU.
+        """Return a stage that launches a kernel on a GPU as `number` full thread blocks.
 
-        The default number of blocks gives at least one thread for each particle.
+        By default there are enough blocks for one thread per particle.
         """
         return self.p.stage(kernel, BLOCK * (number or self.p.blocks), block=BLOCK, **named)
 
@@ -210,7 +210,8 @@ class StepPart:
         """Return the stage of a conjugate-gradient solve that adds its solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below `absolute`.
-        The preconditioner is the diagonal of the matrix, combined with the coarse grid if there is one.
+        The preconditioner is the diagonal of the matrix, combined with the coarse grid if there is one. `what` is the
+        number that names the solve in the control flags if the solve fails.
         """
         p, maximum = self.p, self.scene.maximum_iterations
         vector = what == VISCOSITY

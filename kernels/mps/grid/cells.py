@@ -326,6 +326,6 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         slip_viscosity: wp.array(dtype=scalar)
         slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].
         slip_index: wp.array(dtype=scalar)  # Flow index n of the law of a wall's slip layer.
-        slip_quadratic: wp.array(dtype=scalar)  # Coefficient of the squared velocity of a wall's slip layer [Pa s2/m2].
+        slip_quadratic: wp.array(dtype=scalar)  # Coefficient of the squared slip velocity at a wall [Pa s2/m2].
 
     return SimpleNamespace(Particles=Particles, Fields=Fields, Geometry=Geometry, Walls=Walls)

@@ -107,11 +107,11 @@ def flow_forecast(
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
     """Run a coarser copy of a flow; return its run, the expected simulated time [s], and a list of remarks.
 
-    The copy's scene equals the scene of the flow except for the attributes in `changes`. The simulated time is the time
-    after which the copy became steady; then there are no remarks. If the copy does not become steady, a remark says so
-    with the text `unmet`. If the copy needs more wall time than `COPY_TIME` or stops with an error, the simulated time
-    is the longest time that the flow may simulate, and a remark states the reason. After an error, the returned run is
-    None.
+    The copy's scene equals the scene of the flow except for the attributes in `changes`. The expected simulated time is
+    the time at which the copy ends. If the copy ends without becoming steady, a remark with the text `unmet` says so;
+    otherwise there are no remarks. If the copy needs more wall time than `COPY_TIME` or stops with an error, the
+    expected simulated time is the longest time that the flow may simulate, and a remark states the reason. After an
+    error, the returned run is None.
     """
     copy: FlowRun | None = None
     begun: list[float] = []

@@ -116,12 +116,15 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the section of a concrete's file with these parameters, and the entries it may have."""
+        """Return the name of the section of a concrete file that sets these parameters, and its possible entries."""
         return "flow", CONSTANTS
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the constants of a concrete file, to keep them in a run's record even if the file changes later."""
+        """Return the constants in the concrete file that the parameters `values` name, for the record of a run.
+
+        The record then stays correct if the file changes later.
+        """
         return file_constants(values)
 
     def make_concrete(self, slips: bool) -> Concrete:
@@ -164,11 +167,11 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
 
 
 def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
-    """Return whether `given` contains enough constants that the concrete called `name` need not be looked up.
+    """Return whether the constants in `given` describe the concrete, so that `name` need not be looked up.
 
-    `given` maps names of constants to values. Usually all constants in `CONSTANTS` are needed. If `name` is the path of
-    a file that no longer exists, Bingham's constants are enough, because the records of runs of earlier versions
-    contain only these.
+    `given` maps names of constants to values. It must contain all constants in `CONSTANTS`. If `name` is the path of a
+    file that no longer exists, Bingham's constants are enough, because the records of runs of earlier versions contain
+    only these.
     """
     known = [each for each in CONSTANTS if given.get(each) is not None]
     return len(known) == len(CONSTANTS) or (
@@ -220,5 +223,5 @@ def _flow_of(name: str) -> dict[str, float]:
     found = flow_amounts(completed(name))
     if not found:
         hint = f"add a section 'mix', or a section 'flow' with {', '.join(BINGHAM_CONSTANTS)}"
-        refuse("concrete", name, "must have a section 'mix' or 'flow' for a flow", hint)
+        refuse("concrete", name, "must have a section 'mix' or 'flow' to be simulated as a flow", hint)
     return found

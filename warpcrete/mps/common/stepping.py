@@ -35,10 +35,10 @@ VELOCITY_ERROR = 1e-6
 The typical norm is the norm that the residual has if every velocity is wrong by the typical speed of the flow. In a
 pipe, the typical speed is the mean velocity."""
 ABSOLUTE_PRESSURE_FACTOR = 1e-4
-"""Absolute tolerance of the pressure solve, divided by its relative tolerance. The relative tolerance is the scene's
-`tolerance`. The relative tolerance multiplies the initial residual. The absolute tolerance multiplies the residual of a
-flow whose divergence is everywhere its typical speed divided by a typical length (in a pipe, its radius). The solve
-stops when its residual is below either product."""
+"""Absolute tolerance of the pressure solve, divided by its relative tolerance, which is the scene's `tolerance`. The
+solve stops when the norm of its residual is below either tolerance times a reference norm. For the relative tolerance,
+the reference norm is the norm of the initial residual. For the absolute tolerance, it is the norm of the residual that
+belongs to a uniform divergence: a typical speed of the flow divided by a typical length (in a pipe, the radius)."""
 MAX_CONCURRENT_FLOWS = 64
 """Maximum number of independent flows that are simulated on one GPU at the same time."""
 
@@ -162,7 +162,7 @@ class Stepping(ABC):
             self.build()
 
     def _read_progress(self, flags: np.ndarray) -> None:
-        """Read the number of completed steps from the control flags, and compute the simulated time from it."""
+        """Store the number of completed steps, which the control flags contain, and the simulated time [s]."""
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
 
@@ -207,7 +207,7 @@ class _Run:
     def begin(self, abreast: int) -> None:
         """Prepare the simulation and run it until its first steps can be launched.
 
-        Raises :class:`CapacityError` if the device has no room for the simulation now.
+        Raises :class:`CapacityError` if the free memory of the device is too small for the simulation at present.
         """
         simulation = self.simulation
         if self.checkpoint is not None or not simulation.prepared:

@@ -65,8 +65,8 @@ def forecast(
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the expected duration, mean time step and slowdown of a flow, from a run of a coarser copy.
 
-    The run ends when the concrete is at rest or a funnel is empty. The copy of a mortar with aggregates is the mortar
-    alone, because coarser cells would not resolve the aggregates.
+    The run ends when the concrete is at rest or a funnel is empty. If the scene has aggregates, the copy contains the
+    mortar without them, because coarser cells would not resolve the aggregates.
     """
     scene = simulation.scene
     outflow = scene.test.outflow if scene.test else None
@@ -104,9 +104,10 @@ def course_of(simulation: FreeSimulation) -> Course:
 def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:
     """Return the factor by which an average time step takes longer to compute than one of the first time steps.
 
-    The forecast measures only the first steps of the flow itself. They are shorter than later ones, so their solves
-    need fewer iterations. The factor is measured with a coarser copy of the flow: `run` is a complete run of this copy,
-    and `changes` are the attributes of the scene in which the copy differs from the flow itself.
+    The forecast measures the wall time of only the first steps of the flow itself. Each of these steps simulates less
+    time than a later step, so its solves need fewer iterations. The factor is measured with a coarser copy of the flow:
+    `run` is a complete run of this copy, and `changes` are the attributes of the scene in which the copy differs from
+    the flow itself.
     """
     start = type(simulation)(
         replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,

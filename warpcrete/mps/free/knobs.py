@@ -15,8 +15,8 @@ def free_knobs(
 
     The parameters are the cell width, the time step (or the allowed error of a step), the regularisation and the
     precision. The cell widths are `spacing` [m] multiplied by each of `factors`, up to `coarsest` [m]. If all time
-    steps are equal, cells are left out through which concrete passes within one step after falling by `fall` [m]. The
-    run time is assumed to be proportional to the cell width to the power `power`.
+    steps are equal, a cell width is left out if concrete that has fallen by `fall` [m] crosses a cell of this width in
+    one step. The run time is assumed to be proportional to the cell width to the power `power`.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
     usable = [f for f in factors if finest < f * spacing <= coarsest]

@@ -13,7 +13,7 @@ from ...theory.vessels import heap_depth
 from .scene import FreeScene
 
 LENGTHS = "position or depth"
-"""Label of the axis for several curves of a test."""
+"""Label of the vertical axis of a plot with more than two curves, all of which show lengths."""
 
 
 def plot_free(run: Run) -> Any:

@@ -96,7 +96,10 @@ def _mirrors(scene: FreeScene) -> int:
 
 
 def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:
-    """Return the fraction of the volume in the concrete's initial outline that is free of three-dimensional walls."""
+    """Return the fraction of the concrete's initial outline that the three-dimensional walls of the scene leave free.
+
+    The fraction refers to the volume inside the outline and outside the polygons `held` (blocks and gate).
+    """
     if not scene.walls:
         return 1.0
     (left, low), (right, high) = scene.extent

@@ -66,7 +66,7 @@ class FreeSimulation(FlowRun):
 
     @property
     def lift_end(self) -> float:
-        """Time at which the gate stops holding the concrete back [s]."""
+        """Time at which the gate stops holding the concrete back [s]; 0 without a gate."""
         scene = self.scene
         return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
 

@@ -135,7 +135,7 @@ class GridDisplay(Display):
     def _of_cells(self, path: str) -> np.ndarray:
         """Return an array of the state with one value per cell, shape (nx, ..., nz).
 
-        The layer of cells around the grid is left out.
+        `path` names the array, such as "mesh.fill". The layer of cells around the grid is left out.
         """
         values = self.read(path).astype(float).reshape(self._layout.shape)
         return values[(slice(1, -1),) * values.ndim].transpose()

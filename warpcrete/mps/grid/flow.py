@@ -32,8 +32,8 @@ from .systems import CHUNKS, System, solve_arrays, system_of
 # Rounding error of a cell's net inflow, divided by a typical net inflow, by precision.
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 MIN_RELATIVE_SPEED = 0.05
-"""Minimum speed by which the error of a time step is divided to get its relative error, as a fraction of the typical
-speed of the flow."""
+"""Minimum speed in the relative error of a time step, divided by the typical speed of the flow. The relative error is
+the error divided by the rms speed of the concrete, or by the minimum speed if the rms speed is smaller."""
 CELLS_PER_THREAD = 256
 """Minimum number of cells for each CPU thread."""
 UNREACHABLE_STEPS = 2**31 - 1  # Number of steps so large that no run reaches it; it stands for no limit.
@@ -259,7 +259,7 @@ class GridFlow(Stepping):
 
     @property
     def _size(self) -> float:
-        """Norm of a residual divided by its rms value: square root of the number of cells full at the start."""
+        """Ratio of a residual's norm to its rms value: square root of the number of initially full cells."""
         layout = self.state.layout
         return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 

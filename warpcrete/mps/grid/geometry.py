@@ -158,9 +158,10 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
 
 
 def _open_part(corners: np.ndarray, wall: np.ndarray, axis: int) -> np.ndarray:
-    """Return the open fraction of the area of each face across an axis; 0 beside a wall cell (True in `wall`).
+    """Return the open fraction of the area of each face that is perpendicular to an axis.
 
-    `corners` holds the distances of the wall at the corners of cells [m].
+    The fraction is 0 at faces of wall cells (True in the mask `wall`). `corners` holds the distances of the cells'
+    corners from the wall [m].
     """
     others = [b for b in range(wall.ndim) if b != axis]
     lowest = np.take(corners, range(wall.shape[axis]), axis)
@@ -172,10 +173,10 @@ def _open_part(corners: np.ndarray, wall: np.ndarray, axis: int) -> np.ndarray:
 def _swept_fractions(
     room: Room, walls: Sequence[tuple[Distance, int]], part: Sequence[np.ndarray], sides: np.ndarray
 ) -> np.ndarray:
-    """Return the fraction of each face's area that is closed by moving walls alone, shape (axes, *shape).
+    """Return the fraction of each face's area that moving walls close and standing walls leave open.
 
     `part` holds the open fractions of faces, one array for each axis, and `sides` is the mask of the cells beyond walls
-    and mirrors on sides of the box. The result is empty if no wall moves.
+    and mirrors on sides of the box. The result has the shape (axes, *shape), and is empty if no wall moves.
 
     A moving wall displaces concrete through these parts of the faces. If the parts that a standing wall closes counted
     as well, small cells in which both walls meet would get much more concrete than the moving wall displaces.
@@ -224,7 +225,7 @@ def nearest_wall(
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Return a function of points that gives the distance [m] and the kind number of the wall nearest to each point.
 
-    The points have the shape (..., axes) [m]. With `sides`, the sides of the box that are walls are included.
+    The points have the shape (..., axes) [m]. If `sides` is true, the sides of the box that are walls are included.
     """
     everything = [*walls, *(_room_walls(room) if sides else ())]
 

@@ -77,11 +77,11 @@ class GridLayout:
     """Velocity with which particles re-enter the grid after they have left it [m/s]; None for zero."""
 
     def __post_init__(self) -> None:
-        """Refuse a gate together with moving walls.
+        """Raise :class:`ValueError` if the grid has both a gate and moving walls.
 
-        An opening gate leaves the member `swept` of the geometry as it is: the parts of faces that only moving walls
-        close. The gate counts as a standing wall there, so where it covered a moving wall, the moving wall would not
-        displace concrete after the gate has opened.
+        The member `swept` of the geometry contains the parts of faces that only moving walls close. It is computed with
+        the gate as a standing wall, and does not change when the gate opens. A moving wall behind the gate would
+        therefore displace no concrete after the gate has opened.
         """
         if self.opened is not None and self.motions:
             raise ValueError(

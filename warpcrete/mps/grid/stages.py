@@ -204,7 +204,7 @@ class GridStep:
         """Return the stage that solves a system by conjugate gradients and adds the solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below the norm
-        stored in the system.
+        stored in the system. `what` is the number that names the solve in the control flags if the solve fails.
         """
         flow = self.flow
         lower, upper = (CHUNKS * part // flow.threads for part in (self.parts.start, self.parts.stop))

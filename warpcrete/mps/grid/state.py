@@ -31,8 +31,8 @@ struct have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
 PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles", "sorted_place")
 GPU_LISTS = ("sorted_place", "sorted_motion")
-"""Names of the arrays with copies of the particles that are empty on a CPU, which uses the array `columns` of
-the struct `Fields` instead."""
+"""Names of the arrays that hold sorted copies of the particles on a GPU. On a CPU these arrays are empty, because a
+CPU uses the array `columns` of the struct `Fields` instead."""
 SLOT_BYTES = {2: 4 * 359, 3: 4 * 654}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
 by number of axes. The number holds for full cells, with nine particles each in two dimensions and eight in three. In

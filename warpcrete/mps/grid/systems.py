@@ -39,8 +39,8 @@ A second visit reduces the number of iterations. On a GPU, however, the barriers
 the visit saves.
 """
 STEPS = {"cpu": 1, "gpu": 2}
-"""Number of smoothing steps before and after the visits of the next coarser multigrid level. On the finest level, the
-number is always 1."""
+"""Number of smoothing steps before the visits of the next coarser multigrid level; the same number follows the visits.
+On the finest level, the number is always 1."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,10 @@ def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tu
 def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int]]:
     """Return the operations of a multigrid cycle, as `kernels/mps/grid/multigrid.py` describes them.
 
-    Each level visits the next coarser level `visits` times, with `steps` smoothing steps before and after the visits.
-    The first smoothing step of a level is part of the operation before it. A level has two arrays for its solution,
-    `even` and `odd`, which smoothing reads and writes in alternation. The solution of the finest level is in `odd`
-    before the cycle, and in `even` after it.
+    Each level visits the next coarser level `visits` times. `steps` smoothing steps precede these visits, and as many
+    steps follow them; the finest level makes one step instead. The first smoothing step of a level is part of the
+    operation before it. A level has two arrays for its solution, `even` and `odd`, which smoothing reads and writes in
+    alternation. The solution of the finest level is in `odd` before the cycle, and in `even` after it.
     """
     found: list[tuple[int, int, int, int]] = []
 
@@ -143,10 +143,10 @@ def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int
         return side
 
     def visit(level: int, side: int, first: bool) -> int:
-        """Add a visit of a multigrid level with a solution in the array `side`; return the array of its new solution.
+        """Add the operations of a visit of a multigrid level to the cycle; return the array with the new solution.
 
-        The arrays are 0 for `even` and 1 for `odd`. The `first` visit of a level in a cycle needs one smoothing step
-        less.
+        `side` is the array with the solution before the visit. Both arrays are stated as 0 for `even` or 1 for `odd`.
+        The `first` visit of a level in a cycle needs one smoothing step less.
         """
         if level == levels - 1:
             return smooth(level, side, COARSEST_STEPS - first)

@@ -163,7 +163,7 @@ class PartScene(Parametrised, PartSettings):
             # Compare with a tolerance for rounding errors, because the lengths of the straight pipes at both ends are
             # differences of arc lengths.
             if length < wanted * (1 - 1e-9):
-                share = "" if end > begin else ", half of the pipe"
+                share = "" if end > begin else "; this length is half of the pipe"
                 problem = f"is too short to measure the pressure loss of straight pipe{share}"
                 refuse("straight", length, problem, f"use {at_least(wanted)} m or more")
         fastest = self.velocity * (2 * self.radius / least) ** 2
