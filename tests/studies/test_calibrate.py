@@ -192,7 +192,7 @@ def test_values_that_contradict_one_another_are_refused():
     raw = {"vary": {"slip_viscosity": [500, 2000]}, "targets": [one, one | {"value": 9500.0}]}
     for target in raw["targets"]:
         target["parameters"]["slip_yield"] = 5.0
-    with pytest.raises(SceneError, match="contradict each other: both are the pressure of tube"):
+    with pytest.raises(SceneError, match="contradict each other: both state the pressure of tube"):
         task_of(raw, modules())
     raw["targets"][1] = one | {"value": 9100.0}
     assert len(task_of(raw, modules()).targets) == 2

@@ -220,7 +220,7 @@ def test_a_wrong_trade_is_refused_before_the_measurements(tmp_path, monkeypatch)
     monkeypatch.setattr("warpcrete.studies.tradeoffs.explain.method_of", lambda scene: method)
     damaged = ({"points": [{}, {}]}, {"points": 3}, {"points": [1, 2]}, {"points": {"a": 1}})
     for record, kind, words in (
-        ({"scene": "pipe"}, SceneError, "must be a trade of the scene 'channel', but belongs to the scene 'pipe'"),
+        ({"scene": "pipe"}, SceneError, "is a trade-off study of the scene 'pipe', not of 'channel'"),
         *(({"scene": "channel"} | each, RunFolderError, "trade.json") for each in damaged),
     ):
         (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")

@@ -152,7 +152,7 @@ def test_a_worker_warms_up_once_and_stops_in_time(monkeypatch):
     assert done("a", "b", left=19.9)[1] == ["warm a", "run a"] and done("a", left=-1.0)[1] == ["warm a", "run a"]
     assert done("cut", "b") == ([{"finished": False}], ["warm cut", "run cut"])
     with pytest.raises(
-        trials.WarpcreteError, match="a worker on a processor, but this trade measured wall times on another"
+        trials.WarpcreteError, match="a worker on a processor, but this trade-off study measured wall times on another"
     ):
         trials.run_worker_job(
             {"device": "cpu", "hardware": "another"}, None, Path("x"), trials.WorkerJob([], True, 1.0), lambda: False

@@ -179,7 +179,7 @@ def test_folders_that_hold_no_trade_of_this_version_are_refused(flow_trade, tmp_
     with pytest.raises(RunFolderError, match=r"was measured with version 0\.0\.1"):
         resume_trade(tmp_path, channel)
     (tmp_path / "trade.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(RunFolderError, match="is not the record of a trade"):
+    with pytest.raises(RunFolderError, match="is not the record of a trade-off study"):
         resume_trade(tmp_path, channel)
 
 
@@ -233,7 +233,7 @@ def test_settings_for_an_accuracy(flow_trade):
         "time_step 0.0003 instead of 0.0005",
         "flow 0.001 instead of the default",
     }
-    with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: this trade guarantees"):
+    with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: this trade-off study guarantees"):
         advise(flow_trade.folder, "channel", channel, COARSE, 1e-6)
     with pytest.raises(RunFolderError, match="measures the scene 'channel', not 'pipe'"):
         advise(flow_trade.folder, "pipe", pipe, {}, 0.1)

@@ -239,7 +239,9 @@ def test_a_worker_runs_one_case_after_the_other_while_there_is_time(tmp_path, mo
     assert isinstance(failed, SceneError)
     assert ran("stopped", asked=lambda: True) == [None]
     record["hardware"] = "an abacus"
-    with pytest.raises(WarpcreteError, match=r"has a worker on .*, but this trade measured wall times on an abacus"):
+    with pytest.raises(
+        WarpcreteError, match=r"has a worker on .*, but this trade-off study measured wall times on an abacus"
+    ):
         ran("other")
 
 

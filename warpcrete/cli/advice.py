@@ -30,7 +30,7 @@ def chosen(
     if trade is not None and not (trade / "trade.json").is_file():
         raise RunFolderError(
             f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
-            "trade.json); give the folder of a trade"
+            "trade.json); give the folder of a trade-off study"
         )
     try:
         part = float(accuracy.strip().removesuffix("%")) / 100

@@ -22,12 +22,14 @@ def study(
 ) -> Study:  # fmt: skip
     """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
 
-    All settings of :func:`warpcrete.studies.study.run_study` are accepted, for example `repeat`, `one_at_a_time`,
-    `device`, `processes`, `frames`, `scheduler` and `workers`. `rerun` and `usd` record each case also for the Rerun
-    viewer and as a USD file. All other keywords are parameters of the scene. `out` is the new folder (default:
-    runs/study-NNN). `quiet` hides the progress bar; by default, the bar is shown only in a terminal. If a callback
-    `progress` is given, it is called instead of showing the bar. Raises :class:`SceneError` if `scene` or `vary` is
-    wrong, and everything that :func:`warpcrete.studies.study.run_study` raises.
+    `vary` maps the names of scene parameters to lists of values. All settings of
+    :func:`warpcrete.studies.study.run_study` are accepted, for example `repeat`, `one_at_a_time`, `device`,
+    `processes`, `frames`, `scheduler` and `workers`. If `rerun` or `usd` is true, each case is also recorded for the
+    Rerun viewer or as a USD file. All other keywords are fixed parameters of the scene. `out` is the new folder
+    (default: runs/study-NNN). `quiet` hides the progress bar; by default, the bar is shown only in a terminal. If a
+    callback `progress` is given, it is called instead of showing the bar. Raises :class:`SceneError` if `scene` is not
+    a scene function or `vary` is not a mapping to lists, and everything that :func:`warpcrete.studies.study.run_study`
+    raises.
     """
     name, module = module_of(scene)
     if not isinstance(vary, Mapping):
@@ -51,9 +53,9 @@ def study(
 
 @contextmanager
 def study_progress(quiet: bool) -> Generator[Progress | None]:
-    """Yield a progress callback for a study that shows a progress bar, or None if `quiet`; close the bar at the end.
+    """Yield a callback that shows the progress of a study as a bar, or None if `quiet`; close the bar at the end.
 
-    Before the bar, a line tells the user that the first cases compile kernels.
+    The first call of the callback also prints a line, which says that the first cases compile kernels.
     """
     called = False
     with progress_bar(quiet) as bar:
@@ -74,7 +76,7 @@ def study_progress(quiet: bool) -> Generator[Progress | None]:
 
 
 def module_of(scene: Any) -> tuple[str, Any]:
-    """Return a scene function's command-line name and its module; raise :class:`SceneError` for other objects."""
+    """Return the command-line name and the module of a scene function; raise :class:`SceneError` for other objects."""
     module = getattr(scene, "module", None)
     if module is None or getattr(module, "scene", None) is not scene:
         problem = "must be a scene function"

@@ -36,13 +36,13 @@ def cases_of(
     one_at_a_time: bool = False,
     seeded: bool = True,
 ) -> list[Case]:
-    """Return the cases of a study: all combinations of the varied values, or each parameter varied alone.
+    """Return the cases of a study: all combinations of the varied values, or each parameter varied one at a time.
 
     `base` holds the fixed parameters of the scene function. `varied` holds a list of values for each varied parameter,
     and `defaults` the default values of all parameters. Each combination of values becomes `repeat` cases with
-    consecutive seeds, of which the first is the seed in `base` (default 0). With `one_at_a_time`, only one parameter at
-    a time differs from its value in `base` or its default, and identical cases are merged. `seeded` is True if the
-    scene has a seed. Raises :class:`SceneError` for empty or repeated values and for too many cases.
+    consecutive seeds, of which the first is the seed in `base` (default 0). With `one_at_a_time`, at most one parameter
+    differs from its value in `base` or, without such a value, from its default; identical cases are merged. `seeded` is
+    True if the scene has a seed. Raises :class:`SceneError` for empty or repeated values and for too many cases.
     """
     whole("repeat", repeat, 1, MAX_CASES)
     flag("one_at_a_time", one_at_a_time)
@@ -95,9 +95,9 @@ def _all_combinations(varied: Mapping[str, Sequence[Any]]) -> list[dict[str, Any
 def _one_at_a_time(
     base: Mapping[str, Any], varied: Mapping[str, Sequence[Any]], defaults: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the sets of values in which one of the varied parameters changes and the others are fixed.
+    """Return the sets of parameter values in which at most one varied parameter differs from its base value.
 
-    Every set names all varied parameters.
+    The base value is the value in `base` or, if there is none, in `defaults`. Every set names all varied parameters.
     """
     held = {name: base.get(name, defaults.get(name)) for name in varied}
     points = [held | {name: value} for name, values in varied.items() for value in values]

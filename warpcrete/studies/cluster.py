@@ -88,10 +88,11 @@ class Cluster:
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     def device(self, wanted: str | None) -> str | None:
-        """Return the name of the device that a worker uses if the user requests the device `wanted`.
+        """Return the device name with which a worker is started if the user requests the device `wanted`.
 
         The name has no GPU number, because a worker sees only one GPU. If `wanted` is None, the result is "cpu" on
-        SLURM, because a SLURM job has a GPU only if one was requested, and None for other schedulers.
+        SLURM, because a SLURM job has a GPU only if one was requested. For other schedulers it is None, so that each
+        worker uses its default device.
         """
         return "cpu" if wanted is None and self._scheduler == "slurm" else unnumbered(wanted)
 
@@ -103,11 +104,11 @@ class Cluster:
         return found
 
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
-        """Return the device that a worker uses if `device` is requested, and a record of device and software."""
+        """Return the device that a worker uses if the user requests `device`, and a record of device and software."""
         return self.ask(_machine, self.device(device), precision, seed)
 
     def hardware(self, device: str | None) -> str:
-        """Return the processor model of all connected workers; raise :class:`WarpcreteError` if the models differ."""
+        """Return the model of the GPU or CPU of all workers; raise :class:`WarpcreteError` if the models differ."""
         found = sorted(set(self._client.run(hardware, self.device(device)).values()))
         if len(found) > 1:
             raise WarpcreteError(
@@ -119,9 +120,9 @@ class Cluster:
     def run(
         self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], store_outcome: OutcomeCallback
     ) -> None:
-        """Run the cases of a study, and call `store_outcome` for each case.
+        """Run the `pending` cases of a study, and call `store_outcome` for each case.
 
-        On CPUs, each case is a job of its own. On GPUs, the cases are split into one batch for each worker.
+        On CPUs, each case is a separate job. On GPUs, the cases are split into one batch for each worker.
         """
         parts = [[case] for case in pending]
         if record["device"].startswith("cuda"):
@@ -152,7 +153,7 @@ class Cluster:
         the job itself. When a job has ended, `store_outcome` is called with the tag and the result or exception. With
         `lazily`, the next job is read from `jobs` only when a worker is free. `gap` tells whether the user has pressed
         Ctrl-C. In that case, waiting jobs are cancelled, and the callback `stop_requested` returns True. Running jobs
-        call it regularly, and end early if it returns True.
+        call this callback regularly, and end early if it returns True.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet

@@ -157,7 +157,7 @@ def _series(study: Any, rows: list[dict[str, Any]], name: str) -> dict[str, list
     """Split the rows of a study's table into series in which only the parameter `name` varies.
 
     The rows of a series have the same values of all other varied parameters. The result maps a label with these values
-    to the rows. The series are sorted by the values; numbers are sorted by size.
+    to the rows of the series. The series are sorted by these values, numerically if they are numbers.
     """
     others = [other for other in study.varied if other != name]
 
@@ -249,7 +249,7 @@ def _panel(
 
 
 class _TheoryCurves:
-    """Quantities of a study by theory, at parameter values between the values of the simulated cases."""
+    """Closed-form predictions of a study's quantities, at parameter values between those of the simulated cases."""
 
     def __init__(self, study: Any) -> None:
         self.study, self.module = study, modules().get(study.scene)
@@ -263,7 +263,7 @@ class _TheoryCurves:
     def between(
         self, part: list[dict[str, Any]], name: str, quantity: Quantity
     ) -> tuple[list[float], list[float]] | None:
-        """Return parameter values between the values of simulated cases, and a quantity by theory at these values.
+        """Return parameter values between those of the simulated cases, and closed-form values of a quantity there.
 
         The rows in `part` describe the cases, which differ only in the parameter `name`. The result is None if there is
         only one case or no closed form. It is also None for a whole number without a unit, which has no values between
@@ -282,7 +282,7 @@ class _TheoryCurves:
         return ([place for place, _ in found], [value for _, value in found]) if found else None
 
     def _expected(self, given: Mapping[str, Any], name: str, place: float) -> Mapping[str, float]:
-        """Return all quantities of a scene by theory, by name; empty if the scene is invalid.
+        """Return the closed-form predictions of all quantities of a scene, by name; empty if the scene is invalid.
 
         The scene has the parameters `given`, except that the parameter `name` has the value `place`.
         """
@@ -295,10 +295,10 @@ class _TheoryCurves:
 
 
 def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:
-    """Draw a quantity by theory into a panel of the figure, and return the Matplotlib line, which has no label yet.
+    """Draw closed-form predictions into a panel of the figure, and return the Matplotlib line, which has no label yet.
 
     If `between` holds the coordinates of a curve, the curve is drawn as a dashed line. If `between` is None, a short
-    dash marks each value in `y` at its position in `x`.
+    dash marks each prediction in `y` at the position of its case in `x`.
     """
     style = dict(color=rgb(THEORY), markersize=14, markeredgewidth=2, zorder=1.5)
     (line,) = axes.plot(x, y, "_", **style) if between is None else axes.plot(*between, "--", **style)

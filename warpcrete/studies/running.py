@@ -248,7 +248,7 @@ def _plain(outcome: Any) -> Any:
 
 
 def outcome_of(folder: Path) -> Any:
-    """Return the outcome of a case from its folder: the contents of its result.json, its error, or None if neither."""
+    """Return the outcome of a case from its folder: the contents of its result.json, its error, or None."""
     if (folder / FAILED).is_file():
         return WarpcreteError(saved_text(folder / FAILED).strip())
     if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
@@ -259,7 +259,7 @@ def outcome_of(folder: Path) -> Any:
 
 
 def previous_outcome(folder: Path) -> Any:
-    """Return a case's outcome from an earlier call, or None.
+    """Return a case's outcome from an earlier call of the study, or None if it has none.
 
     If the case has neither an outcome nor a checkpoint, its folder is deleted, so that the case can start again.
     """

@@ -67,13 +67,13 @@ def run_study(
     """Run a study of the scene function `module.scene` and write it to the new folder `out`.
 
     `varied` holds the values of each varied parameter, and `base` all other parameters that differ from their defaults.
-    `repeat` is the number of seeds for each case. `one_at_a_time` varies each parameter alone instead of combining
-    them. `processes` is the number of processes on a CPU (default: one per core). `frames` is the number of recorded
-    frames per simulated second, and `checkpoint_every` the wall time between checkpoints [s]. `recorders` switches on
-    additional recordings (`rerun`, `usd`). With a `scheduler`, the cases run on the `workers` of
-    :func:`warpcrete.studies.cluster.open_cluster`. `units` maps names of parameters to the units in which the table and
-    the figure show them; a parameter whose values are texts, such as "5 m3/h", is by default shown in the unit of these
-    texts. Raises :class:`SceneError` before anything is written if a case is not a valid scene.
+    `repeat` is the number of seeds for each case. With `one_at_a_time`, each case changes at most one of the varied
+    parameters, so the values are not combined. `processes` is the number of processes on a CPU (default: one per core).
+    `frames` is the number of recorded frames per simulated second, and `checkpoint_every` the wall time between
+    checkpoints [s]. `recorders` switches on additional recordings (`rerun`, `usd`). With a `scheduler`, the cases run
+    on the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. `units` maps names of parameters to the units in
+    which the table and the figure show them; a parameter whose values are texts, such as "5 m3/h", is by default shown
+    in the unit of these texts. Raises :class:`SceneError` before anything is written if a case is not a valid scene.
     """
     check_scheduler(scheduler, workers, processes)
     units = written_units(module.scene, {n: [v] for n, v in (base or {}).items()} | dict(varied)) | dict(units or {})
@@ -346,7 +346,7 @@ def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
 
 
 def _take_over(study: Study, case: Case) -> bool:
-    """Store the outcome of a case from an earlier call, and return whether the case has finished or failed.
+    """Store the outcome that a case has from an earlier call of the study; return whether it has finished or failed.
 
     The folder of a case that was interrupted before its first checkpoint is deleted.
     """

@@ -45,7 +45,7 @@ class Study:
     failures: dict[str, str] = field(default_factory=dict)
     """Messages of the errors that ended cases, by case name."""
     not_at_fault: set[str] = field(default_factory=set)
-    """Names of cases that failed without a fault of their own, because their process died or the disk was full."""
+    """Names of cases that failed only because their process died or the disk was full; they can run again."""
     written: Mapping[str, str] = field(default_factory=dict)
     """Units in which the user stated parameters, by name; the table and the figure use these units."""
 

@@ -1,9 +1,9 @@
 """Verification: results of the simulators compared with published results and closed-form solutions.
 
-`run_cases` runs the cases and yields their results, which `table` and `figure` show; the command `warpcrete verify`
-does both. The tolerances follow from measured errors. Tests run the same cases on every device and in both
-precisions. Modules here import `core`, `geometry`, `theory`, both simulation methods and `kernels`, but no recorder.
-To read the code, start with `case`, which defines a case, and go on with `contacts`.
+`run_cases` runs the cases and yields their results, and `table` and `figure` show them. The command `warpcrete verify`
+runs the cases and shows the results. The tolerances follow from measured errors. Tests run the same cases on every
+device and in both precisions. Modules here import `core`, `geometry`, `theory`, both simulation methods and `kernels`,
+but no recorder. To read the code, start with `case`, which defines a case, and go on with `contacts`.
 """
 
 import math

@@ -101,7 +101,10 @@ def _inverse_rotated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _elliptic_k(parameter: float) -> float:
-    """Return the complete elliptic integral K(m), by the arithmetic-geometric mean."""
+    """Return the complete elliptic integral of the first kind, K(m) with m = `parameter`.
+
+    It is computed by the arithmetic-geometric mean.
+    """
     a, b = 1.0, math.sqrt(1 - parameter)
     while abs(a - b) > 1e-15 * a:
         a, b = 0.5 * (a + b), math.sqrt(a * b)

@@ -122,9 +122,10 @@ def stick_slip(device, precision) -> list[Row]:
     """Compare the stick-slip motion of a sled with the exact solution.
 
     The sled has mass m. It is pressed with force N on a floor that moves at speed V, and it is held by a spring of
-    stiffness k. While the sled sticks, the spring's force grows as k V t. When the force reaches mu N, with the
-    friction coefficient mu, the sled slips. At the time t after that the force is mu N + V sqrt(k m) sin(omega t) with
-    omega = sqrt(k / m), and the speed of the sled relative to the floor is zero once per period.
+    stiffness k. While the sled sticks to the floor, the spring's force grows as k V t. When the force reaches mu N,
+    with the friction coefficient mu, the sled begins to slip. From then on, with the time t counted from this moment,
+    the force is mu N + V sqrt(k m) sin(omega t) with omega = sqrt(k / m). The speed of the sled relative to the floor
+    is zero once per period.
     """
     friction, press, speed, modulus = 0.4, 0.5, 0.05, 1e6
     side = 1.2 * RADIUS

@@ -50,8 +50,8 @@ class Outcome:
     def acceptable(self) -> bool:
         """Return whether the result is acceptable.
 
-        A completed run must be within bounds. The message of a stopped run must name time, body, quantity and possible
-        remedies. The result must also agree with `expected_outcome`.
+        In a completed run, `deepest` must be at most 1, and `growth` at most `ENERGY`. The message of a stopped run
+        must name time, body, quantity and possible remedies. The result must also agree with `expected_outcome`.
         """
         if self.stopped:
             named = all(word in self.stopped for word in ("t = ", "body ", "usual cures: "))
@@ -190,7 +190,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
 
 def _moved(scene: Scene, count: int) -> Scene:
-    """Return the scene with its first `count` bodies all moved to the position of the body that follows them."""
+    """Return the scene with its first `count` bodies all moved to the position of the next body."""
     bodies = scene.bodies[0]
     places = bodies.positions.copy()
     places[:count] = places[min(count, len(places) - 1)]

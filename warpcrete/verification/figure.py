@@ -15,7 +15,7 @@ def draw(results: list[tuple[Case, list[Row]]]):
     heights = [height for *_, height in plots]
     figure = new_figure("", *(heights or [1.0]))
     if plots:
-        # Each plot has a layout of its own, so that the long names of one plot take no width from the others.
+        # Each plot has a separate layout, so that the long names in one plot do not make the other plots narrower.
         parts = figure.subfigures(len(plots), 1, squeeze=False, height_ratios=heights)[:, 0]
         for part, (plot, content, _) in zip(parts, plots, strict=True):
             axes = part.add_subplot()
@@ -105,4 +105,4 @@ CURVES = (
     ("oblique impact, normalised", _normalised, 3.5),
     ("stability limit", _stability, 3.4),
 )
-"""Cases with a plot of their own: name, function that draws the plot, and height of the plot [inch]."""
+"""Cases for which the figure has a separate plot: name, function that draws the plot, and height of the plot [inch]."""

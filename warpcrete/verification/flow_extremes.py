@@ -57,9 +57,9 @@ class FlowOutcome:
     def acceptable(self) -> bool:
         """Return whether the result is acceptable.
 
-        A completed flow must be within bounds. The message of a stopped flow must name time, quantity and possible
-        remedies, and the message of a refused scene must name the field. The result must also agree with
-        `expected_outcome`.
+        A completed flow must keep the bounds :data:`BALANCE`, :data:`VOLUME`, :data:`SPEED` and :data:`CLOSEST`. The
+        message of a stopped flow must name time, quantity and possible remedies, and the message of a refused scene
+        must name the field. The result must also agree with `expected_outcome`.
         """
         if self.stopped:
             words = (" = ", ": ") if self.refused else ("t = ", "usual cure")

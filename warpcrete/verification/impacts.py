@@ -181,7 +181,7 @@ def oblique(device, precision) -> list[Row]:
     OBLIQUE.curves.update(angle=TEST_4[:, 0], tangential=tangential, spin=turning, rebound=rebound)
     rows = []
     # At incident angles below 15 degrees the contacts stick. The result then depends on how the law unloads the shear
-    # spring, so these impacts have a tolerance of their own.
+    # spring, so these impacts have separate tolerances.
     steep = TEST_4[:, 0] < 15
     for name, ours, published, allowed_steep, allowed in (
         ("tangential restitution", tangential, TEST_4[:, 1], 0.1, 0.012),

@@ -28,7 +28,7 @@ STEPS = 3000
 CHUNK = 30
 FRACTIONS = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 4.0, 5.0, 6.0, 8.0)
 GROWN = 2.0
-"""Ratio of energies at and above which the energy counts as grown."""
+"""Ratio of the energy at the end of a run to the energy at its start, from which on the energy counts as grown."""
 AXIS = Axis((0, 0, 0), (0, 0, 1), (Line(0.05),))
 LAWS: dict[str, ContactLaw] = {
     "linear": Contact(friction=10.0, normal_damping_ratio=0.0),

@@ -22,8 +22,8 @@ START_CASES = (
     # step on the grid, and the time at which the flow is almost steady [s].
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
-"""Flows that are compared with the one-dimensional solution. A time step on the grid uses the mean of the viscosities
-at its start and at its end. With a yield stress, only short time steps are accurate with this mean."""
+"""Flows that are compared with the one-dimensional solution. Each time step on the grid uses the mean of the
+viscosities at its start and at its end; with a yield stress, this mean is accurate only for short time steps."""
 LONGEST = 2e-3
 """Longest time step on the grid [s]."""
 EXACT_STEP_RATIO = 5e-4
@@ -50,8 +50,8 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
     velocity, slip, found = np.zeros(cells), 0.0, []
     for n in range(round(times[-1] / step)):
         start = velocity
-        # An implicit step is solved by fixed-point iterations, because the viscosity depends on the velocity that it
-        # computes.
+        # Solve the implicit step by fixed-point iterations, because the viscosity depends on the velocity at the end of
+        # the step.
         for _ in range(6):
             c = apparent(concrete, scene.regularisation, np.diff(velocity) / h) * area[1:-1] / h
             # Two resistances in series act on the flow at the wall: the slip layer, and the shear across the outer half
@@ -76,7 +76,9 @@ def worst(
 ) -> tuple[float, float]:  # fmt: skip
     """Return the largest rms error of the velocity profile over all compared times, and the largest error in any cell.
 
-    Errors are divided by the mean velocity of the steady flow.
+    Errors are divided by the mean velocity of the steady flow. `dimensions` is 2 for a channel and 3 for a pipe.
+    `number` is the Bingham number, and `layer` the viscous constant of the slip layer [Pa s/m]. `longest` is the
+    longest time step on the grid [s], `error` the allowed error of a time step, and `end` the simulated time [s].
     """
     speed, viscosity, radius = 0.19, 20.0, 0.05
     given = FlowParameters(

@@ -35,7 +35,10 @@ def doublet() -> ClumpTemplate:
 
 
 def pair_at(centre: Sequence[float], turn: Sequence[float], density: float = DENSITY) -> Aggregates:
-    """Return one aggregate of two touching spheres with the radius RADIUS, at a place [m] and with an orientation."""
+    """Return an aggregate of two touching spheres of radius RADIUS, with its `centre` [m] and orientation `turn`.
+
+    The orientation is a quaternion (x, y, z, w).
+    """
     radius = np.array([2 ** (1 / 3) * RADIUS])
     return Aggregates(np.array([centre]), radius, density, shapes=(doublet(),), turn=np.array([turn]))
 
@@ -112,9 +115,9 @@ def tumbling(across: int, wide: int, device: str, precision: str) -> float:
     return 2 * float(np.interp(np.pi, turns, strains)) / (2 * np.pi * (ASPECT + 1 / ASPECT))
 
 
-SETTLING, PERIOD, SPIN = 0.085, 0.05, 0.085
 # Largest accepted relative errors of three cases with 4 cells across a sphere: settling speed of a clump, period of a
 # turning clump, and spin of a clump. With 8 cells across a sphere, the period is 1.6 % too long.
+SETTLING, PERIOD, SPIN = 0.085, 0.05, 0.085
 
 
 def settling_case(device: str, precision: str) -> list[Row]:

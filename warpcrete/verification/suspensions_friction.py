@@ -10,9 +10,9 @@ from .suspensions import DENSITY, RADIUS, mortar_flow
 
 WIDTH = RADIUS / 2
 FLOOR = -6 * WIDTH
-"""Height of the floor [m]."""
+"""Coordinate of the floor along the third axis [m]."""
 TOUCHING = 0.00997 * RADIUS
-"""Gap to the floor at the start [m], at which a sphere touches it."""
+"""Gap between sphere and floor at the start [m]. A gap of this size counts as contact."""
 PRESS = 0.02
 """Force that presses the sphere onto the floor [N]."""
 LEVER = 1.005 * RADIUS
@@ -48,8 +48,9 @@ def motion(flow: SuspensionFlow) -> tuple[float, float]:
 def friction_case(device: str, precision: str) -> list[Row]:
     """Check that a sphere that is pushed along a floor rolls below the limit of friction, and slides above it.
 
-    Sliding friction acts like a force mu N and its torque, where N is the normal force. The flow of the mortar is
-    linear, so a sphere without friction moves in the same way if both act on it as external loads.
+    Sliding friction acts on the sphere like a force mu N and its torque, where N is the normal force. The flow of the
+    mortar is linear. A sphere without friction therefore moves in the same way if this force and torque act on it as
+    external loads.
     """
     velocity, spin = motion(pushed(FRICTION, 0.2 * PRESS, 0.0, device, precision))
     flow = pushed(FRICTION, PRESS, 0.0, device, precision)
@@ -59,12 +60,17 @@ def friction_case(device: str, precision: str) -> list[Row]:
     loaded = motion(pushed(0.0, PRESS - FRICTION * normal, FRICTION * normal * LEVER, device, precision))
     return [
         Row(
-            "speed of the surface by rotation, divided by the velocity, pushed with 0.2 N",
+            "speed of the surface by rotation, divided by the velocity, pushed with 0.2 times the pressing force",
             LEVER * spin / velocity,
             1.0,
             0.01,
         ),
-        Row("friction, divided by mu times the normal force, pushed with 1 N", force / (FRICTION * normal), 1.0, 0.015),
+        Row(
+            "friction, divided by mu times the normal force, pushed with the pressing force",
+            force / (FRICTION * normal),
+            1.0,
+            0.015,
+        ),
         Row("velocity, divided by that without friction under the same loads", found[0] / loaded[0], 1.0, 0.01),
         Row("spin, divided by that without friction under the same loads", found[1] / loaded[1], 1.0, 0.025),
     ]

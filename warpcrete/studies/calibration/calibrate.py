@@ -38,8 +38,8 @@ from .targets import Target, Task, found_in, read_task, task_of
 RECORD = "calibration.json"
 Progress = Callable[[str, float, dict[str, Any]], None]
 COARSE_ERROR = 0.1
-"""Assumed standard deviation of the error of coarse runs, as a fraction of the measured value. It only determines how
-wide the region is from which the first full trials are taken."""
+"""Assumed standard deviation of the error of coarse runs, as a fraction of the measured value. Most of the first full
+trials are samples of the posterior of the coarse runs; a larger assumed error only makes this posterior wider."""
 SETTLED_ERROR_RATIO = 0.5
 """Largest ratio of the Gaussian-process emulator's standard error to the uncertainty of a target (a standard deviation)
 at which the emulator counts as accurate enough. The search ends when this holds for all targets and the posterior no
@@ -79,14 +79,15 @@ def run_calibration(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Find the parameters of the scenes in `modules` that reproduce `targets`, a file or a mapping.
+    """Find the parameters of a concrete with which scenes reproduce measured values, the targets.
 
-    Results go to the new folder `out`. `trials` is the maximum number of parameter sets that are run with full accuracy
-    (default: 10, plus 10 for each free parameter); coarse trials and verification runs do not count. `batch` is the
-    number of parameter sets in one round (default: 4, plus 2 for each free parameter). If the first round is coarse, it
-    has twice as many sets, and each later round has half as many. `repeat` is the number of verification runs of the
-    likeliest parameters, each with another seed; if no scene depends on a random seed, the likeliest parameters are
-    simulated once. Raises :class:`SceneError` for wrong targets, before anything is written, and
+    `targets` is a file of targets or its contents as a mapping, and `modules` maps the names of scenes to their
+    modules. Results go to the new folder `out`. `trials` is the maximum number of parameter sets that are run with full
+    accuracy (default: 10, plus 10 for each free parameter); coarse trials and verification runs do not count. `batch`
+    is the number of parameter sets in one round (default: 4, plus 2 for each free parameter). If the first round is
+    coarse, it has 2 * `batch` sets, and each later round has `batch` / 2. `repeat` is the number of verification runs
+    of the likeliest parameters, each with another seed; if no scene depends on a random seed, the likeliest parameters
+    are simulated once. Raises :class:`SceneError` for wrong targets, before anything is written, and
     :class:`WarpcreteError` if too few runs yield the value of a target.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
@@ -125,9 +126,10 @@ def resume_calibration(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Continue a calibration and reuse its finished runs.
+    """Continue the calibration in `folder`, and reuse its finished runs.
 
-    `trials` is a new maximum for the number of full trials, including those already run; None keeps the earlier one.
+    `trials` is a new maximum for the number of full trials, including those already run; None keeps the earlier
+    maximum.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     if trials is not None:
@@ -185,7 +187,8 @@ def _continue(
 def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
     """Run rounds of simulations, followed by verification runs of the likeliest parameters.
 
-    The rounds end when the posterior no longer changes (:attr:`Calibration.settled`), or when no trials are left.
+    The rounds end when the posterior has converged (:attr:`Calibration.settled`), or when the maximum number of trials
+    is reached. `where` holds the settings `processes`, `scheduler` and `workers`, and `tell` is the progress callback.
     """
     settings, rounds = calibration.record["settings"], calibration.record["rounds"]
     most = settings["trials"]
@@ -229,9 +232,10 @@ def run_round(
 ) -> bool:  # fmt: skip
     """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
-    `part` is needed for the progress bar. It holds two fractions of the whole calibration's work: the work done before
-    this round, and the work of this round. Raises :class:`WarpcreteError` if runs were lost because a process died or
-    the disk was full.
+    `place` is the index of the round, `where` holds the settings `processes`, `scheduler` and `workers`, and `tell` is
+    the progress callback. `part` holds two fractions of the whole calibration's work, for the progress bar: the work
+    done before this round, and the work of this round. Raises :class:`WarpcreteError` if runs were lost because a
+    process died or the disk was full.
     """
     for group in range(len(calibration.task.groups)):
         study = _run_group(
@@ -250,10 +254,10 @@ def run_round(
 
 
 def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
-    """Return a progress callback for the parameter study of one scene in a round of a calibration.
+    """Return a progress callback for the study that runs the scene of a `group` of targets in a round of a calibration.
 
     The callback converts the progress of this study into the progress of the whole calibration, and reports it to
-    `tell`.
+    `tell`. `part` is explained in :func:`run_round`.
     """
     groups = len(task.groups)
 
@@ -267,7 +271,10 @@ def _run_group(
     calibration: Calibration, modules: Mapping[str, Any], place: int, group: int, trials: Sequence[Trial],
     where: Mapping[str, Any], tell: Progress,
 ) -> Study:  # fmt: skip
-    """Run one scene with all parameter sets of a round as a separate study, or continue that study if it exists."""
+    """Run one scene with all parameter sets of a round as a separate study, or continue that study if it exists.
+
+    `place` is the index of the round, and `group` the index of the group of targets that belong to the scene.
+    """
     target = calibration.task.groups[group][0]
     folder = calibration.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"
     module = modules[target.scene]
@@ -327,9 +334,9 @@ def _doubtful(calibration: Calibration, trials: Sequence[Trial]) -> dict[Target,
 
 
 def _learn_from_coarse_trials(calibration: Calibration, seed: int) -> None:
-    """Compute the posterior of the coarse trials, from which the parameters of the first full trials are proposed.
+    """Compute the posterior of the coarse trials, which proposes the parameters of the first full trials.
 
-    Without at least `MIN_VALUES` values of every fitted target, no posterior is computed.
+    No posterior is computed if a fitted target has fewer than `MIN_VALUES` values.
     """
     points, values = _results(calibration, calibration.coarse)
     if all(np.isfinite(values[target]).sum() >= MIN_VALUES for target in calibration.task.fitted):
@@ -339,9 +346,10 @@ def _learn_from_coarse_trials(calibration: Calibration, seed: int) -> None:
 def _update_posterior(calibration: Calibration, seed: int) -> None:
     """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
 
-    As long as trials are left, the posterior is not updated if fewer than `MIN_VALUES` runs have yielded the value of a
-    fitted target. Raises :class:`WarpcreteError` if no run has yielded the value of a fitted target, or if fewer than
-    `MIN_VALUES` runs have yielded it when no trials are left.
+    A posterior needs at least `MIN_VALUES` runs that yield the value of each fitted target. If there are fewer, the
+    function returns without a new posterior as long as trials are left, and otherwise raises :class:`WarpcreteError`.
+    If no run has yielded a value of some fitted target, it raises this error at once, unless the calibration began with
+    coarse trials.
     """
     searched = calibration.searched
     points, values = _results(calibration, searched)

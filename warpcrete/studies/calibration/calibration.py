@@ -54,7 +54,7 @@ class Calibration:
     coarse_posterior: Posterior | None = None
     """Posterior computed from coarse trials alone; it only proposes the parameters of the first full trials."""
     settled: bool = False
-    """True if further runs would no longer change the answer."""
+    """True if the search has converged: further runs would hardly change the posterior."""
     finished: bool = False
     took: float = 0.0
     """Wall time of the last call of the function that ran or resumed the calibration [s]."""
@@ -108,7 +108,7 @@ class Calibration:
 
         The deviation is the simulated minus the measured value. The simulated value is the mean of the verification
         runs; without such runs, the emulator's prediction for the likeliest parameters takes its place. The result is
-        NaN if neither is known.
+        NaN if there is neither a verification run nor an emulator.
         """
         assert self.posterior is not None
         runs = self.verification_values(target)

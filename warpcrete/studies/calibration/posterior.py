@@ -120,8 +120,8 @@ class Posterior:
     def predicted(self, target: Target, points: np.ndarray | None = None) -> tuple[float, float]:
         """Return the mean and standard deviation of the predictions for a target's quantity; NaN without an emulator.
 
-        Both are taken over `points`, by default over the posterior samples. Points have the shape (n, free) and hold
-        the free parameters, each scaled to 0 to 1 over its range.
+        The predictions are made at `points`, shape (n, free), by default at the posterior samples. The coordinates of a
+        point are the free parameters, each scaled to 0 to 1 over its range.
         """
         if target not in self.emulators:
             return math.nan, math.nan
@@ -223,9 +223,9 @@ def posterior(
     begin = np.clip(spread[order[:walkers]] + random.normal(0, 1e-3, (walkers, free)), 1e-6, 1 - 1e-6)
     sampler = emcee.EnsembleSampler(walkers, free, likelihood, vectorize=True)
     state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())
-    # Delay an interruption until the sampling ends. If it arrived inside the likelihood, emcee would print a traceback
-    # before it passed the exception on. Linear algebra uses one thread, because the matrices are small, with one row
-    # for each run. On a busy machine with two cores, two threads took seven times as long.
+    # Delay an interruption by Ctrl-C until the sampling ends. If it arrived inside the likelihood function, emcee would
+    # print a traceback before it passed the exception on. Linear algebra uses one thread, because the matrices are
+    # small, with one row for each run. On a busy machine with two cores, two threads took seven times as long.
     with defer_interrupts(), threadpool_limits(1, "blas"):
         sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
     samples = np.asarray(sampler.get_chain(discard=DISCARDED_STEPS, flat=True, thin=4))

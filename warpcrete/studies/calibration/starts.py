@@ -42,7 +42,7 @@ def closed_forms(task: Task, point: Any, modules: Mapping[str, Any]) -> dict[Tar
 
 
 def _misfit(known: Sequence[Target], predictions: Mapping[Target, float]) -> float:
-    """Return the sum of the squared deviations of the predictions from the targets, in standard deviations.
+    """Return the sum of the squared deviations of closed-form predictions from the targets, in standard deviations.
 
     `known` holds the targets that have a closed form. The result is infinite if one of them has no prediction.
     """
@@ -66,7 +66,10 @@ def _closed_forms(task: Task, targets: Sequence[Target], point: Any, modules: Ma
 
 
 def _expected(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> Mapping[str, float]:
-    """Return all quantities of a target's scene by theory at a `point`; empty if the parameters are impossible."""
+    """Return the closed-form predictions of all quantities of a target's scene at a `point` in the parameter ranges.
+
+    The mapping is empty if the parameters at this point are impossible.
+    """
     module = modules[target.scene]
     try:
         scene = module.scene(**task.parameters(target, task.values(point), module))

@@ -351,12 +351,13 @@ def _refuse_contradictions(targets: Sequence[Target]) -> None:
             if same and abs(one.value - other.value) > MAX_DEVIATIONS_APART * scatter:
                 apart = abs(one.value - other.value) / scatter
                 refuse("targets", f"{other.words(other.value)} and {one.words(one.value)}",
-                       f"contradict each other: both are the {one.label}, {apart:.2g} standard deviations apart",
+                       f"contradict each other: both state the {one.label}, but differ by {apart:.2g} standard "
+                       "deviations",
                        "correct one of them, or increase their uncertainties")  # fmt: skip
 
 
 def found_in(result: Mapping[str, Any], target: Target) -> float | None:
-    """Return the value of a target's quantity in the contents of a result.json.
+    """Return the value of a target's quantity, read from the contents of a run's result.json.
 
     The result is None if the value is missing or not a finite number.
     """

@@ -132,18 +132,18 @@ of oil. The sentence is printed for lines with a pump."""
 
 @dataclass(frozen=True)
 class FastGrowth:
-    """Restart of a line if the yield stress grows faster than the line's uncertainty band assumes."""
+    """Restart after a stop in which the yield stress grows faster than the line's uncertainty band assumes."""
 
     growth: float
     """Growth rate of the yield stress at rest [Pa/s]."""
     high: float
-    """Upper end of the band of the pressure that restarts the line at full flow after the present stop [Pa]."""
+    """Upper end of the band of the pressure [Pa] that restarts the line at full flow after the stop of this line."""
     longest: float | None
     """Longest stop [s] after which the pump still restarts the line if the yield stress grows at the rate `growth`.
     The value is None if the pump cannot restart the line even after a short stop."""
     bearable: float
-    """Largest growth rate [Pa/s] at which the pump still restarts the line after the present stop. Rates above `growth`
-    are not considered."""
+    """Largest growth rate [Pa/s] at which the pump still restarts the line after the stop of this line. Rates above
+    `growth` are not considered."""
 
     def record(self) -> dict[str, Any]:
         """Return this restart as an entry of the file line.json."""

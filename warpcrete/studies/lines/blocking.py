@@ -62,7 +62,8 @@ class BlockingProbability:
     failed: int
     """Number of runs that ended with an error; they do not count in the probability of a blockage."""
     short: int
-    """Number of runs that do not count as blocked although part of the concrete stood still at their end."""
+    """Number of runs that did not end because of a blockage, although part of the concrete stood still at their end.
+    They count as not blocked."""
     stones: int
     """Number of stones in the first simulation. The other simulations have other random packings."""
     stone: float
@@ -70,11 +71,11 @@ class BlockingProbability:
     coarse: float
     """Factor by which the stones were enlarged for the simulation; 1 if they kept their size."""
     friction: float
-    """Friction coefficient between the stones in the simulation; NaN if the concrete has a contact law of its own."""
+    """Friction coefficient between the stones in the simulation; NaN if the concrete's file states a contact law."""
 
     @property
     def probability(self) -> float:
-        """Share of the finished runs that were blocked."""
+        """Number of blocked runs divided by the number of finished runs."""
         return self.blocked / self.runs
 
     @property

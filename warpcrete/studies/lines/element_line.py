@@ -83,8 +83,9 @@ class SeedResult:
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
         """Return the friction and the weight of each part [Pa], as pairs in the order of the parts in the line.
 
-        No pressure is below zero, because the concrete column transmits no tension (:func:`.course_of`). The sum of all
-        pairs is therefore below the pressure at the start of the line if concrete runs down faster than it is pumped.
+        The friction depends on the local pressure, which is zero where concrete runs down faster than it is pumped,
+        because the concrete column transmits no tension (:func:`.course_of`). With such a stretch, the pressure at the
+        start of the line is larger than the sum of all friction and weight.
         """
         pressure, found = 0.0, []
         for part in reversed(line.parts):

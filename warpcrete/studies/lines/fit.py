@@ -27,9 +27,9 @@ from .taps import SAME_FLOW, Tap, at_one_flow, is_free
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
 REVERSED = 1.1
-"""Largest accepted ratio of the friction between a gauge and the end of the line to the friction between a gauge nearer
-to the pump and the end of the line, at the same flow. The true ratio is below 1; the measured one may be larger if the
-gauges have errors and are close to each other."""
+"""Largest accepted ratio of a gauge's friction to the friction of a gauge nearer to the pump, at the same flow. The
+friction of a gauge is the pressure loss due to friction from the gauge to the end of the line. The true ratio is below
+1; the measured one may be larger if the gauges have errors and are close to each other."""
 DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
@@ -122,7 +122,7 @@ def _is_better_than_published(factor: FittedConstant) -> bool:
 
 
 def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> None:
-    """Refuse pressures that are too few, below the weight of the concrete, or that grow along the line."""
+    """Refuse measured pressures if they are too few, below the weight of the concrete, or grow along the line."""
     if len(taps) < 2:
         counted = f"{len(taps)} different point{'s' if len(taps) != 1 else ''}"
         refuse(
@@ -275,16 +275,18 @@ def _check_result(found: np.ndarray, free: Sequence[int], concrete: Concrete) ->
     """Refuse a fit that gave an impossible slip viscosity, slip yield or factor of bends."""
     if found[0] > NO_SLIP:
         raise SceneError(
-            f"fit: the measured friction is larger than that of a concrete of {concrete.viscosity:.4g} Pa s and "
-            f"{concrete.yield_stress:.4g} Pa that does not slip at all; check the gauges (pressure of the "
-            "concrete, not of the oil), their unit and places, the flows, and the viscosity of the concrete"
+            "fit: the measured friction is larger than that of a concrete without slip at the wall that has a "
+            f"viscosity of {concrete.viscosity:.4g} Pa s and a yield stress of {concrete.yield_stress:.4g} Pa; check "
+            "that the gauges show the pressure of the concrete and not of the oil, and check their unit and places, "
+            "the flows, and the viscosity of the concrete"
         )
     for place in free:
         if not math.isfinite(found[place]) or found[place] <= LEAST[place]:
             unit = f" {UNITS[place]}" if UNITS[place] else ""
             raise SceneError(
-                f"fit: the points give a {NAMES[place]} of {found[place]:.4g}{unit}, which is impossible; check "
-                "places, flows, rise and diameters, the density, and the viscosity and yield stress of the concrete"
+                f"fit: the measured pressures give a {NAMES[place]} of {found[place]:.4g}{unit}, which is impossible; "
+                "check the places of the gauges, the flows, the rise and diameters of the line, and the density, "
+                "viscosity and yield stress of the concrete"
             )
 
 

@@ -20,8 +20,8 @@ from .losses import GRAVITY, straight_friction
 from .tap_model import TapModel
 
 SHIPPED_YIELDS = (0.0, 251.0)
-"""Range of the yield stress of a slip layer [Pa] if no mix states one. The upper end is the largest value of the
-concretes of this package, which no1 has."""
+"""Range of the yield stress of a slip layer [Pa] if no mix states one. The upper end is the largest value among the
+concretes of this package, that of the concrete no1."""
 THINNEST = 100.0
 """Smallest viscosity of a slip layer [Pa s/m] that is considered possible. A layer with a larger yield stress than the
 fitted layer has the same friction only if its viscosity is smaller, so this limit also limits the yield stress.
@@ -31,8 +31,8 @@ THICKEST = 1e6
 fitted layer has the same friction only if its viscosity is larger. With this viscosity, concrete practically sticks to
 the wall."""
 OTHER_FLOWS = (0.5, 2.0)
-"""Range of flows, divided by the measured flows, in which the stated uncertainty of a fitted layer holds for later
-use."""
+"""Range of flows, divided by the measured flows, for which the stated uncertainty of a fitted layer holds when the
+layer is used in another line."""
 BISECTIONS = 60
 """Number of bisection steps in the search for a viscosity of the slip layer."""
 
@@ -118,8 +118,8 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 def _wider(constant: FittedConstant, *values: float) -> FittedConstant:
     """Widen the band of a fitted constant by the effect of a further, independent cause of error.
 
-    `values` holds the values of the constant at both ends of the band of this cause. The width that this cause adds and
-    the present width are added in squares.
+    `values` holds the values of the constant at both ends of the band of this cause. The new width is the square root
+    of the sum of the squares of the present width and of the width that this cause adds.
     """
     own = constant.value
     below, above = (max(0.0, *(sign * (each - own) for each in values)) for sign in (-1, 1))
@@ -131,9 +131,10 @@ def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> 
     """Return the logarithm of the factor by which errors of the fittings may change the fitted layer.
 
     If the true friction of a kind of fitting, such as bends, is larger than assumed, the true resistance of the slip
-    layer is smaller than fitted, because the gauges show the sum. For each kind, the effects of the lower and of the
-    upper end of its friction are averaged in squares. The effects of different kinds are added in squares. Bends are
-    left out if their factor was fitted, because the errors of the fit already contain their effect.
+    layer is smaller than fitted, because the gauges show the sum. The effect of a kind is the root mean square of the
+    effects of the lower and of the upper end of its friction. The effects of different kinds are combined as the square
+    root of the sum of their squares. Bends are left out if their factor was fitted, because the errors of the fit
+    already contain their effect.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
@@ -164,11 +165,11 @@ def _at_end(part: Part, end: int, straight: float) -> Part:
 def _friction_behind_gauges(
     fit: LineFit, line: PipeLine, concrete: Concrete, ratio: float = 1.0
 ) -> Callable[[float, float], float]:
-    """Return a function that gives the mean friction from the places of the gauges to the end of the line [Pa].
+    """Return a function that gives the friction from a gauge to the end of the line [Pa], averaged over all readings.
 
     The arguments of the function are the viscosity [Pa s/m] and the yield stress [Pa] of a slip layer. The flow of each
-    reading is multiplied by `ratio`. The friction of the whole line is used because the slip velocity, and therefore
-    the effect of the yield stress, depends on the bore.
+    reading is multiplied by `ratio`. The friction of the whole line behind the gauges is used because the slip
+    velocity, and therefore the effect of the yield stress, depends on the bore.
     """
     factor = fit.bend_factor
     taps = [replace(tap, flow=ratio * tap.flow) for tap in fit.taps]

@@ -86,12 +86,12 @@ class LineFit:
     uncertainty: float
     """Uncertainty u of the slip layer's resistance. Its band extends from 1 / (1 + u) to 1 + u times both constants."""
     friction_uncertainty: float
-    """Uncertainty u of the friction of straight pipe at the mean flow, from the errors of the gauges and from what was
-    known before. The band extends from 1 / (1 + u) to 1 + u times the friction."""
+    """Uncertainty u of the friction of straight pipe at the mean flow, from the errors of the gauges and from the slip
+    layer expected before the measurement. The band extends from 1 / (1 + u) to 1 + u times the friction."""
     gauge: float
     """Error limit of the gauges [Pa]."""
     prior_share: float = 0.0
-    """Weight, between 0 and 1, of what was known of the slip layer before the measurement. The weight of the
+    """Weight, between 0 and 1, of the slip layer that was expected before the measurement. The weight of the
     measurement is 1 minus this number."""
     surprise: float | None = None
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement, if the fit

@@ -59,7 +59,7 @@ class Loss:
 
 @dataclass(frozen=True)
 class Stop:
-    """Time for which a full line stands still, and the growth of the concrete's yield stresses during this time."""
+    """Stop of the pump with a full line: its duration, and the growth of the concrete's yield stresses in this time."""
 
     rest: float
     """Duration of the pump's stop [s]."""
@@ -83,7 +83,7 @@ class LinePressures:
     losses: list[Loss]
     """Pressure losses of each part, in the order from the start of the line to its end."""
     layer_factor: float
-    """Uncertainty of the slip layer: its true resistance may be larger or smaller by this factor."""
+    """Uncertainty of the slip layer: its true resistance may be larger or smaller by up to this factor."""
     simulated: bool
     """True if friction comes from simulations and not from the closed form."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
@@ -107,7 +107,7 @@ class LinePressures:
         return float(self.course(lambda loss: loss.theory + loss.weight)[1][0])
 
     def band(self) -> Band:
-        """Return the pressure at the line's start [Pa], with its uncertainty band and the share of each cause in it."""
+        """Return the pressure at the line's start [Pa], with its uncertainty band and each cause's contribution."""
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
@@ -115,10 +115,10 @@ class LinePressures:
 
         The positions are the start of the line and the end of each part, and both results have parts + 1 entries. The
         uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
-        friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
-        calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
-        changed together. The friction of a simulated part is known for one concrete only; for changed constants, it is
-        scaled in the same ratio as the closed form.
+        friction. One input after the other is set to the lower and to the upper end of its band, and the pressure is
+        calculated again. The deviations are combined as the square root of the sum of their squares. All fittings of a
+        kind, such as all bends, are changed together. A part was simulated with one concrete only; for changed
+        constants, its friction is scaled in the same ratio as the closed form.
         """
         return self._bands
 
@@ -186,12 +186,12 @@ class LinePressures:
         return combined(value, ends)
 
     def _friction_with(self, kind: str, end: int) -> Callable[[Loss], float]:
-        """Return a function that gives the friction [Pa] of a part if fittings of one `kind` have another friction.
+        """Return a function that gives the friction [Pa] of a part, for changed friction of all fittings of one `kind`.
 
         The argument of the function is the :class:`Loss` of the part. The fittings of this kind, such as bends, have
         the friction at the lower (`end` = 0) or upper (`end` = 1) end of their band. If the slip layer was fitted to a
-        trial line, a fit with this other friction would have given another layer. The friction of all parts is
-        therefore multiplied by one factor, so that the mean pressure due to friction at the gauges stays the same.
+        trial line, the changed fittings would have given another fitted layer. The friction of all parts is therefore
+        multiplied by one factor, so that the mean pressure due to friction at the gauges stays the same.
         """
 
         def changed(x: Loss) -> float:

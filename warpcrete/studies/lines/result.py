@@ -148,7 +148,7 @@ class LineResult(LinePressures):
 
     @property
     def margin(self) -> PumpMargin | None:
-        """Comparison of the pressure, flow and power of the line with the data sheet of its pump; None without one."""
+        """Comparison of the line's pressure, flow and power with the data sheet of its pump; None without a pump."""
         return (
             None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow, self.line.customary)
         )
@@ -157,7 +157,7 @@ class LineResult(LinePressures):
     def restart_margin(self) -> RestartMargin | None:
         """Comparison of the pressure for a restart at full flow with the pressure of the pump.
 
-        The value is None if no pump is known, or if the line does not stop.
+        The value is None if the line has no pump or does not stop.
         """
         pump, stop = self.line.pump, self.stop
         if pump is None or stop is None:
@@ -178,7 +178,7 @@ class LineResult(LinePressures):
 
     @property
     def _fast_restart(self) -> float:
-        """Upper end of the band of the restart pressure [Pa] for the highest published growth rate."""
+        """Upper end of the band of the restart pressure [Pa] for the highest published growth of the yield stress."""
         assert self.stop is not None
         assert self.stop.highest is not None
         return replace(self, stop=Stop(self.stop.rest, self.stop.highest)).restart(self.flow).high
@@ -277,7 +277,7 @@ class LineResult(LinePressures):
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         found += [f"part {x.part.number} was simulated as a fluid without stones; stones may add to its friction, so "
                   "the range of its friction is kept; a measured 'factor' would narrow it"
-                  for x in self.losses  # The friction of a bore equals that by theory only if it was not simulated.
+                  for x in self.losses  # The friction of a bore differs from the closed form only if it was simulated.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
             found.append("no concrete pump is known to deliver more than "

@@ -81,9 +81,10 @@ def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[
 
 
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether wide pipes need nearly equal pressures and the narrowest pipe a far higher one, and a short text.
+    """Judge whether wide pipes need nearly equal pressures, and the narrowest pipe a far higher pressure.
 
-    `values` holds the diameters [m], from the narrowest pipe on. Pipes count as wide from the third diameter on.
+    Return the verdict, and a short text that describes the pressures. `values` holds the diameters [m], from the
+    narrowest pipe on. Pipes count as wide from the third diameter on.
     """
     level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
@@ -171,7 +172,10 @@ COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 
 
 def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
-    """Return the scene parameters of pipe unit D (bend to vertical) with the parameter of `row` set to `value`."""
+    """Return the scene parameters of pipe unit D (bend to vertical) with the parameter of `row` set to `value`.
+
+    With `quick`, the concrete consists of coarse spheres instead of clumps (:data:`COARSE`).
+    """
     case: dict[str, Any] = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
     case |= dict(row.base) | {row.parameter: value}
     if row.parameter == "size_max":

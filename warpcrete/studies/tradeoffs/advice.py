@@ -109,8 +109,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     record = read_json(file)
     if record.get("scene") != name:
         raise RunFolderError(
-            f"trade = '{trade}': measures the scene {record.get('scene')!r}, not {name!r}; give the folder of a trade "
-            f"of {name!r}"
+            f"trade = '{trade}': measures the scene {record.get('scene')!r}, not {name!r}; give a folder made by "
+            f"'warpcrete trade {name}'"
         )
     try:
         promises = [p for p in record.get("promises", []) if p["setting"] is not None]
@@ -123,16 +123,17 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         version = str(record.get("warpcrete") or record.get("provenance", {}).get("warpcrete", ""))
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(
-            f"'{file}': is not the record of a trade ({type(error).__name__}: {error}); give the folder of a trade"
+            f"'{file}': is not the record of a trade-off study ({type(error).__name__}: {error}); give a folder made "
+            "by 'warpcrete trade'"
         ) from error
     if best is None:
         raise RunFolderError(
-            f"trade = '{trade}': has no result yet; finish the trade with 'warpcrete trade --resume {trade}'"
+            f"trade = '{trade}': has no result yet; finish the study with 'warpcrete trade --resume {trade}'"
         )
     if chosen is None:
         more = f"make a longer one with 'warpcrete trade {name} --budget 1h'" if trade.suffix == ".json" else (
-            "continue the trade with 'warpcrete trade --resume'")  # fmt: skip
-        problem = f"was not reached: this trade guarantees {100 * best:.2g} % at best"
+            "continue the study with 'warpcrete trade --resume'")  # fmt: skip
+        problem = f"was not reached: this trade-off study guarantees {100 * best:.2g} % at best"
         refuse("accuracy", f"{100 * accuracy:g} %", problem, f"use {at_least(100 * best, 2)} % or more, or {more}")
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
@@ -160,7 +161,10 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
-    """Return a description of each parameter whose value in this scene differs from its value in the measured scene."""
+    """Return a description of each parameter whose value in this scene differs from its value in the measured scene.
+
+    `own` holds the parameters of this scene, and `measured` those of the measured scene.
+    """
     # Compare converted values, because the same value can be stated in different ways. A pipe unit of Zhan et al., for
     # example, has a letter and a name.
     ours = module.scene.declared(own)

@@ -228,12 +228,12 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
         if not (trade / "trade.json").is_file():
             raise RunFolderError(
                 f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
-                "trade.json); give the folder of a trade"
+                "trade.json); give the folder of a trade-off study"
             )
         record = read_record(trade / "trade.json")
         if record.get("scene") != scene.name:
-            problem = f"must be a trade of the scene {scene.name!r}, but belongs to the scene {record.get('scene')!r}"
-            refuse("trade", str(trade), problem, "give the folder of another trade, or leave out 'trade'")
+            problem = f"is a trade-off study of the scene {record.get('scene')!r}, not of {scene.name!r}"
+            refuse("trade", str(trade), problem, "give the folder of another study, or leave out 'trade'")
         return record, f"'{trade}', {record.get('machine', '')}"
     given = dict(arguments_of(scene))
     if module is None or not given:

@@ -1,4 +1,4 @@
-"""Errors of the settings of a trade-off study, of its reference setting, and bounds for errors in other scenes."""
+"""Errors of the settings and of the reference setting of a trade-off study, and bounds for errors in other scenes."""
 
 import math
 from abc import ABC, abstractmethod
@@ -114,9 +114,10 @@ class Judging(ABC):
     def reference_errors(self) -> dict[str, float]:
         """Estimated relative error of the reference setting's own results, by the name of the quantity.
 
-        The results at all measured widths of cells, or distances of particles, are extrapolated to the width 0; the
-        error is the difference from this limit. If the effect of rounding errors is known, it is added in squares. The
-        result is empty if there is no reference setting, or if no accuracy parameter is a width or distance.
+        The results at all measured widths of cells, or distances of particles, are extrapolated to the width 0. The
+        error is the difference of the reference result from this limit. If the effect of rounding errors is known, the
+        two errors are combined as the square root of the sum of their squares. The result is empty if there is no
+        reference setting, or if no accuracy parameter is a width or distance.
         """
         knobs = [knob for knob in self.knobs if knob.resolution]
         if self.reference is None or not knobs:
@@ -149,9 +150,10 @@ class Judging(ABC):
     def promised(self, point: Setting) -> float:
         """Return an upper bound for the error of a setting.
 
-        The bound is the reference's own error plus the larger of two values. The first value is the measured error with
-        its confidence interval. The second value is the sum of the errors that each changed knob (accuracy parameter)
-        causes alone. Errors that cancel in this scene need not cancel in another one.
+        The bound is the error of the reference setting plus the larger of two values. The first value is the measured
+        error with its confidence interval. The second value is the sum of the errors that were measured when only one
+        knob (accuracy parameter) was changed at a time; the sum covers all knobs that the setting changes. It is
+        considered because errors that cancel in this scene need not cancel in another one.
         """
         if point.worst is None:
             return math.inf
@@ -164,7 +166,7 @@ class Judging(ABC):
 
         The errors of a quantity in the original scene and in its variants are treated as a random sample, which gives a
         95 % prediction interval for the error in another, similar scene. The result is the largest bound of all
-        quantities, plus the reference's own error.
+        quantities, plus the error of the reference setting.
         """
         found = []
         for each in self.quantities:

@@ -12,7 +12,8 @@ from ...record.checks import failed_checks
 from .fronts import Error, worst
 
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
-"""Relative errors for each of which a study looks for the cheapest setting whose error is not larger."""
+"""Relative errors that users may want. For each one, a study looks for the cheapest setting whose error is not
+larger."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
 """Origins of those settings of a trade-off study that do not just change a single accuracy parameter. In this order,
 they are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and

@@ -245,9 +245,9 @@ class Trade(Judging):
     ) -> Iterator[tuple[Setting, list[int], float]]:
         """Yield the jobs one by one, each as a setting, some of its seeds, and the time left for their runs [s].
 
-        The caller requests a job when a processor is free, so each decision uses the results available at that moment.
-        If there are enough settings for all workers, one worker takes all seeds of a setting and loads its kernels only
-        once.
+        `lacking` holds pairs of a setting and its seeds that have no result yet. The caller requests a job when a
+        processor is free, so each decision uses the results available at that moment. If there are enough settings for
+        all workers, one worker takes all seeds of a setting and loads its kernels only once.
         """
         points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
         for number, (point, seeds) in enumerate(points):

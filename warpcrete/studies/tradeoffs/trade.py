@@ -90,7 +90,7 @@ def run_trade(
     trading = getattr(module, "trading", None)
     if trading is None:
         hint = "use a scene that has such settings, or define the variable 'trading' in the scene's file"
-        refuse("scene", scene_name, "has no settings that a trade could vary", hint)
+        refuse("scene", scene_name, "has no settings that a trade-off study could vary", hint)
     scene = module.scene(**(base or {}))
     check_named(scene)
     given = module.scene.declared(base or {})
@@ -200,14 +200,14 @@ def resume_trade(
             raise KeyError("quantities")
     except (KeyError, TypeError) as error:
         raise RunFolderError(
-            f"'{folder / 'trade.json'}': is not the record of a trade ({type(error).__name__}: "
-            f"{error}); give the folder of a trade"
+            f"'{folder / 'trade.json'}': is not the record of a trade-off study ({type(error).__name__}: "
+            f"{error}); give a folder made by 'warpcrete trade'"
         ) from error
     now = versions()["warpcrete"]
     if version != now:
         raise RunFolderError(
             f"'{folder}': was measured with version {version} of warpcrete, but this is version {now}, so wall times "
-            "cannot be compared; start a new trade"
+            "cannot be compared; start a new trade-off study"
         )
     positive("budget", budget, "s")
     check_limit("budget", budget, "s")
@@ -221,7 +221,7 @@ def resume_trade(
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
             raise RunFolderError(
                 f"'{folder}': contains wall times of {trade.hardware}, but the workers have {here}, so wall times "
-                "cannot be compared; use the same hardware, or start a new trade"
+                "cannot be compared; use the same hardware, or start a new trade-off study"
             )
         return _continue(trade, budget, cluster, progress)
 
@@ -250,7 +250,7 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     if not trade.run(given, trade.seeds[:1], tell):
         if given.failure:
             problem = f"fails with the given parameters: {given.failure}"
-            refuse("scene", trade.scene_name, problem, "change the parameters, and start a new trade")
+            refuse("scene", trade.scene_name, problem, "change the parameters, and start a new trade-off study")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
     # Refuse a short budget only if this call has made a run (`spent` is above 0). Otherwise, the study is resumed, and
@@ -337,7 +337,7 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
     point = trade.point(REFERENCE, top)
     if trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
         trade.record = {**trade.record, "finest": top}
-    else:  # The finest setting did not run to its end. Use the scene as given as the reference instead.
+    else:  # The finest setting did not run to its end. The scene as given becomes the reference instead.
         del trade.points[before:]
         point = trade.given
     point.origin = REFERENCE
@@ -346,8 +346,8 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
 def _run_combinations(trade: Trade, tell: Tell) -> None:
     """Run, for each wanted error, the combination of accuracy parameters that is expected to be the cheapest one.
 
-    The expected error of a combination is the sum of the errors that its parameters cause alone, and its expected time
-    follows from the times of runs in which a single parameter was changed.
+    The expected error and time of a combination follow from runs in which a single parameter was changed. The errors
+    that its changed parameters caused in such runs are added up.
     """
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
@@ -362,10 +362,14 @@ def _run_combinations(trade: Trade, tell: Tell) -> None:
 def _find_promises(trade: Trade, tell: Tell) -> None:
     """Find and test, for each wanted error, the cheapest setting whose error bound is at most the wanted error.
 
-    A setting is tested in runs with new random seeds and in runs of variants of the scene. The next cheapest setting is
-    tested if a run with new seeds fails or fails a check, or if the error in a variant, or the bound that follows from
-    all variants, exceeds the wanted error. A setting that could not be tested in any variant of the scene is not
-    promised. The error in the runs with new seeds is reported, but not compared with the wanted error.
+    A setting is tested in runs with new random seeds and in runs of variants of the scene. It is rejected, and the next
+    cheapest setting is tested, in three cases:
+
+    - A run with new seeds fails, or fails a check.
+    - The error in a variant, or the bound that follows from all variants, exceeds the wanted error.
+    - The scene has variants, but the setting could not be tested in any of them.
+
+    The error in the runs with new seeds is reported, but not compared with the wanted error.
     """
     # Run variants only if a closed form gives the expected values, or if nothing is random. Otherwise, each variant
     # would need reference runs with several seeds, which takes too long.

@@ -42,8 +42,8 @@ def run_worker_job(
     here = hardware(record["device"])
     if here != record["hardware"]:
         raise WarpcreteError(
-            f"scheduler: has a worker on {here}, but this trade measured wall times on {record['hardware']}, so they "
-            "cannot be compared; use workers with the same processor"
+            f"scheduler: has a worker on {here}, but this trade-off study measured wall times on {record['hardware']}; "
+            "wall times on different processors cannot be compared; use workers with the same processor"
         )
     found: list[Any] = []
     start_time, load_kernels = time.perf_counter(), trial.load_kernels
@@ -85,6 +85,6 @@ def _run(
         return error
     (outcome,) = run_cases(record, module, folder, [case], stop_requested)
     if isinstance(outcome, dict) and outcome.get("finished"):
-        # Read the results from the file, as a resumed study does, so that both work with the same numbers.
+        # Read the results from the file, so that a new and a resumed study work with the same numbers.
         return read_json(folder / case.name / "result.json")
     return outcome

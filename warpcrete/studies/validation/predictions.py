@@ -153,7 +153,7 @@ def _spread(case: Case) -> list[Band]:
 
     The prediction takes the concrete's resistance to stretching into account (:func:`heap_at_rest`). The uncertainty
     band has three causes: the yield stress, the error with which a spread is read, and the error of the theory. The
-    last one is taken as the difference from the spread that a theory without this resistance gives.
+    error of the theory is estimated as the difference from the spread that a theory without this resistance gives.
     """
     mix = mix_of_case(case)
     own = mix.concrete

@@ -32,9 +32,9 @@ def representatives(cases: Sequence[Case]) -> list[Case]:
 def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: float | None = None) -> Comparison:
     """Predict a case by simulating its standard test as a flow.
 
-    `spacing` is the edge length of the cells [m], by default that of the scene. The ratio of both ends of the
-    uncertainty band to the predicted value is the same as for the closed form, but a slump's band ends at the largest
-    slump of a cone (:data:`FLATTEST`). Raises :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is
+    `spacing` is the edge length of the cells [m], by default that of the scene. The simulated value is multiplied by
+    the relative band of the closed form to get its uncertainty band, but a slump's band ends at the largest slump of a
+    cone (:data:`FLATTEST`). Raises :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is
     interrupted.
     """
     scene, quantity, more = SIMULATED[case.kind]
