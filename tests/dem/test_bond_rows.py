@@ -142,7 +142,7 @@ def test_more_bonds_than_can_be_numbered_are_refused(start, monkeypatch):
     scene = two_spheres(gap=1e-7, bonds=strong(), dt=1e-6)
     stepper = start(scene)
     monkeypatch.setattr(bonding, "MOST_ROWS", 0)
-    with pytest.raises(CapacityError, match=r"^bonds = 1: one scene can hold at most 0;"):
+    with pytest.raises(CapacityError, match=r"^bonds = 1: one scene can hold at most 0 bonds;"):
         stepper.bond(scene.bonds, 1)
     monkeypatch.setattr(joint, "MOST_ROWS", 4)
     stepper = start(dataclasses.replace(scene, bonds=dataclasses.replace(scene.bonds, healing=True)))

@@ -26,7 +26,7 @@ MISTAKES = {
     "no energy": (
         ', "energy": energy',
         "",
-        r"must return the function 'energy' too; write @wp\.func def energy\(p, touch",
+        r"must also return the function 'energy'; write @wp\.func def energy\(p, touch",
     ),
     "two values": (
         ", slip_loss + damping * speed * speed * dt",
@@ -153,7 +153,7 @@ MISTAKES = {
     "words": (
         'Annotated[float, "coefficient of friction", Within(0)] = 0.3',
         'Annotated[str, "kind"] = "dry"',
-        r"friction = 'a text': must be restricted to given words",
+        r"friction = 'a text': must be restricted to a list of words",
     ),
     "help text left out": (
         'Annotated[float, "coefficient of friction", Within(0)]',

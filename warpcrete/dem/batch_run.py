@@ -119,7 +119,7 @@ def _share_rounds(parts: Sequence[_BatchMember]) -> None:
 
 
 class _BatchMember:
-    """Simulations of one batch, with their coroutines and results; they advance together on one device.
+    """Simulations that advance together as one batch, with the coroutine and the result of each.
 
     A simulation is identified by its index in the list of all simulations.
     """
@@ -172,7 +172,10 @@ class _BatchMember:
             self.scenes[number] = (stepper, self._whole_run(number))
 
     def end(self, results: dict[int, Outcome]) -> None:
-        """Store the runs or errors with which this batch ended, and note whether Ctrl-C interrupted a run."""
+        """Store the result of each simulation of this batch, and note whether Ctrl-C interrupted a run.
+
+        `results` maps the index of a simulation to its run, or to the error that ended it.
+        """
         self.outcomes |= results
         self.stopped = any(
             isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()

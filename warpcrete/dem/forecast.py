@@ -56,8 +56,8 @@ IDLE_SPHERES = 40_000  # Number of spheres at which a GPU's step takes about twi
 def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Forecast the steps, wall time and memory of a run on a Warp `device`.
 
-    `probe` is a function that measures the wall time of recording one frame of a recording. Raises the errors that the
-    run itself would raise before its first step.
+    `probe` is a function that measures how long one frame of a recording takes to write. Raises the errors that the run
+    itself would raise before its first step.
     """
     ready = _ShortenedCopy(scene, device, precision, threads)
     dt, factor = ready.stepper.dt, ready.factor

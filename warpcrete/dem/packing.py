@@ -279,7 +279,8 @@ class _Growth:
                 break
 
     def _rest(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
-        """Let the aggregates come to rest. If `fill` states a pressure, adjust sizes until the packing has it."""
+        """Let the aggregates come to rest. If `fill` states a pressure, adjust sizes until the packing has this
+        pressure."""
         pressure = self.fill.pressure
         looks_on_target, least, was_too_low = 0, 1e-3, None
         # `looks_off_target` counts consecutive evaluations at which the pressure was off target in the same direction.

@@ -64,7 +64,10 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
 
 
 def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
-    """Draw a vertical line at the travel at which the piston reaches its constant speed."""
+    """Draw a vertical line at the travel at which the piston reaches its constant speed.
+
+    Nothing is drawn if the piston has no ramp, or if the ramp is not shorter than `longest`, the largest travel [m].
+    """
     ramp = run.scene.pipe.ramp if run.scene.pipe is not None else 0.0
     if 0 < ramp < longest:
         axes.axvline(ramp, color="0.7")
@@ -115,9 +118,10 @@ def plot_stations(run: ElementRun) -> Any:
 
 
 def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
-    """Return the figure of a run folder: profiles along the pipe if measured, else pressure over time or travel.
+    """Return the figure of a run folder: profiles along the pipe if the run measured them, else a plot of the pressure.
 
-    The result is None if the run measured no pressure.
+    The pressure is plotted over time if the piston stops between strokes, and otherwise over the piston's travel. The
+    result is None if the run measured no pressure.
     """
     if "stations" in run.tables:
         return plot_stations(run)
@@ -168,8 +172,8 @@ def plot_strokes(run: ElementRun) -> Any:
 def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int = 2, across: int = 0) -> Any:
     """Return a figure of the aggregates at the end of one or several runs, seen from the side, coloured by speed.
 
-    Every sphere of every clump is drawn, the nearest last. `across` and `vertical` are the drawn axes (0, 1, 2 for
-    x, y, z).
+    Every sphere of every clump is drawn, the nearest spheres last. `across` and `vertical` are the axes of the figure
+    (0, 1, 2 for x, y, z).
     """
     from matplotlib.collections import EllipseCollection
     from matplotlib.figure import Figure

@@ -43,7 +43,7 @@ SPHERES_PER_THREAD = 500
 """Minimum number of spheres for each CPU thread. Threads with fewer spheres wait longer for each other than they save.
 
 In a small pipe, the wall time with two threads divided by the wall time with one thread was 0.67 to 1.0 for 1000
-spheres and 1.25 to 2 for 500 spheres.
+spheres in total, and 1.25 to 2 for 500 spheres in total.
 """
 
 
@@ -71,8 +71,8 @@ class Batch(JointArrays):
             refuse(
                 "batch",
                 len(models),
-                "must contain only scenes that need the same features, such as bonds or mesh walls; run other scenes "
-                "in a batch of their own",
+                "must contain only scenes that need the same features, such as bonds or mesh walls; run scenes with "
+                "other features in a separate batch",
             )
         for s, state in enumerate(states):
             state.attach_to(self, s)
@@ -168,15 +168,16 @@ class Batch(JointArrays):
 
     @property
     def has_step(self) -> bool:
-        """True if recorded launches of a time step exist and fit the current arrays and each CPU thread's bodies."""
+        """True if a recorded time step exists that is valid for the current arrays and the current ranges of the CPU
+        threads."""
 
         return self._step is not None
 
     def set_goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
         """Let scene `s` continue until it has completed `steps` steps in total or has reached the time `until` [s].
 
-        The scene also halts after every `interval` steps, so that its stable time step can be estimated again. It must
-        not have reached either goal yet.
+        The scene also halts after every `interval` steps, so that its stable time step can be estimated again. When
+        this method is called, the scene must not have reached either goal yet.
         """
         goal = until, min(interval, NEVER)
         if goal != (self.rows["until"][s], self.rows["interval"][s]):
@@ -347,7 +348,7 @@ class Batch(JointArrays):
 
     @property
     def settled(self) -> bool:
-        """True if the device has completed all time steps that were launched last."""
+        """True if the device has completed the time steps of the latest launch."""
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:

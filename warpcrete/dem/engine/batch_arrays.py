@@ -302,9 +302,9 @@ class JointArrays:
         self.scenes.row.assign(self.rows)
 
     def reserve_pairs(self, wanted: np.ndarray) -> None:
-        """Give each scene memory for at least `wanted` pairs in its neighbour list; keep the current pairs.
+        """Enlarge the neighbour lists so that each scene has room for its number of pairs in `wanted`, shape (scenes,).
 
-        Raises :class:`CapacityError` if the arrays would be too long.
+        The current pairs are kept. Raises :class:`CapacityError` if the arrays would be too long.
         """
         if not np.any(wanted > self.capacity):
             return
@@ -312,7 +312,7 @@ class JointArrays:
         if self.features.healing and np.any(wanted > MOST_ROWS):
             raise CapacityError(
                 f"bonds = {wanted.max()}: too many pairs of neighbours could form bonds; one scene can hold at most "
-                f"{MOST_ROWS}; use fewer or larger aggregates"
+                f"{MOST_ROWS} bonds; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
         # The array `result` contains the contact forces of all pairs in the neighbour lists. It is the largest array,
@@ -336,7 +336,8 @@ class JointArrays:
         self._regrow("pairs", ["load"], self.load_capacity, each)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
-        """Enlarge the list of mesh candidates (triangles near a sphere) to at least `wanted` entries per scene."""
+        """Enlarge the lists of mesh candidates (triangles near a sphere), so that each scene has room for its number of
+        candidates in `wanted`, shape (scenes,)."""
         if np.any(wanted > self.face_capacity):
             self._regrow("candidates", ["face"], self.face_capacity, wanted)
             self._clear_near_candidates()
@@ -366,8 +367,8 @@ class JointArrays:
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(
-                f"spheres = {self.sphere_count}: need a list with {new[-1]} {struct}, but the maximum is {most}; "
-                "use fewer spheres"
+                f"spheres = {self.sphere_count}: would need a list of {new[-1]} {struct}, but the maximum length is "
+                f"{most}; use fewer spheres"
             )
         for name in names:
             before: DeviceArray = getattr(getattr(self, struct), name)

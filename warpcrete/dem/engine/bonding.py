@@ -85,7 +85,8 @@ def _number(state: State, before: np.ndarray) -> None:
     if count > MOST_ROWS:
         state.pairs.bond.assign(before)
         raise CapacityError(
-            f"bonds = {len(place)}: one scene can hold at most {MOST_ROWS // apart}; use fewer or larger aggregates"
+            f"bonds = {len(place)}: one scene can hold at most {MOST_ROWS // apart} bonds; use fewer or larger "
+            "aggregates"
         )
     row = apart * np.arange(len(place), dtype=bond.dtype)
     load = np.zeros((count, 8), dtype=state.pairs.load.numpy().dtype)

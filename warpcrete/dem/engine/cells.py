@@ -27,9 +27,10 @@ MOST_CELLS = {"cpu": 2**18, "cuda": 2**24}
 class Cells:
     """Grid with adjacent blocks of cells, one block for each scene.
 
-    Positions wrap around periodically, so every position belongs to a cell. A sphere outside its scene's block is still
-    found, but the search takes longer. The same holds for a grid with too few cells. The blocks are fitted to the
-    scenes, because in a cubic grid distant parts of a long pipe would share cells, which would slow down the search.
+    Positions wrap around periodically, so every position belongs to a cell. The search finds all neighbours even if
+    spheres lie outside their scene's block or if the grid has too few cells, but it then takes longer. The blocks are
+    fitted to the scenes, because in a cubic grid distant parts of a long pipe would share cells, which would slow down
+    the search.
     """
 
     shift: DeviceArray

@@ -332,10 +332,11 @@ def _law_table(
     ours: Iterable[str],
     theirs: Iterable[str],
 ) -> list[ContactLaw]:
-    """Return a contact law for every ordered pair of materials, as a flattened square table.
+    """Return a contact law for every ordered pair of `materials`, as a flattened square table.
 
-    All pairs of materials that can touch must follow one type of law; otherwise :class:`SceneError` is raised. Pairs
-    that cannot touch need an entry in the table as well, and get the law of a pair that can touch.
+    Pairs of a material in `ours` and a material in `theirs` can touch. All of them must follow one type of law;
+    otherwise :class:`SceneError` is raised, and `what` says in its message what the bodies touch. Pairs that cannot
+    touch need an entry in the table as well, and get the law of a pair that can touch.
     """
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
     kinds = {type(c) for c in met}

@@ -166,8 +166,8 @@ class NeighborLists:
     def _search(self, sort: bool) -> Rebuild:
         """Launch the phases `cells` and `search` of a rebuild on a CPU; return all phases of this rebuild.
 
-        A phase is a group of kernel launches. If the search buffers are too small, they are enlarged and the search is
-        repeated.
+        A phase is a group of kernel launches. `sort` is True if the bodies have just been re-sorted. If the search
+        buffers are too small, they are enlarged and the search is repeated.
         """
         b = self.batch
         rebuild = self._rebuild(sort)
@@ -337,8 +337,8 @@ class NeighborLists:
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
         """Return the launches that measure the longest bond of each sphere.
 
-        Only the search for the half lists of a CPU needs this length. The result is empty for the full lists of a GPU,
-        and if the scenes have no bonds.
+        `old` contains the kernel arguments for the old neighbour lists. Only the search for the half lists of a CPU
+        needs the longest bonds. The result is empty for the full lists of a GPU, and if the scenes have no bonds.
         """
         b = self.batch
         if not (b.features.bonds and b.features.half_list):
@@ -351,7 +351,9 @@ class NeighborLists:
     ) -> tuple[list[Recordable], list[Stage]]:
         """Return the launches of the phases `search` (find neighbours) and `fill` (write the neighbour lists).
 
-        On a CPU there are no launches for `fill`, because the transfer of contact history writes the neighbour lists.
+        `old` contains the kernel arguments for the old neighbour lists, `new_place` maps the index of each sphere
+        before a re-sorting to its new index, and `searchers` GPU threads search around each sphere. On a CPU there are
+        no launches for `fill`, because the transfer of contact history writes the neighbour lists.
         """
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         grid: Arguments = {"grid": self._cells.grid, "shift": self._cells.shift, "count": self._count}

@@ -90,7 +90,7 @@ class _Drive:
 
     @property
     def results(self) -> dict[int, Any]:
-        """Result of each coroutine that has ended: what it returned or raised, by the number of its scene."""
+        """Return value of each coroutine, or the exception that ended it, by the number of its scene."""
         return {number: member.result for number, member in self._members.items()}
 
     @property
@@ -220,9 +220,9 @@ def drive_batches(
     """Run the coroutines of several batches at the same time, each batch on its own GPU stream, as :func:`drive` does.
 
     `groups` contains for each batch its scenes, as in :func:`drive`, and its stream (None: the default stream). While
-    the GPU computes steps of some batches, the host serves others. The host must therefore read arrays through an
-    `Exchange`, which copies asynchronously, because ``numpy()`` waits for all streams. With `regroups`, a batch is made
-    smaller once most of its scenes have ended.
+    the GPU computes steps of some batches, the host works for other batches. The host must therefore read arrays
+    through an `Exchange`, which copies asynchronously, because ``numpy()`` waits for all streams. With `regroups`, a
+    batch is made smaller once most of its scenes have ended.
     """
     drives = [_Drive(*group, regroups=regroups) for group in groups]
     stop: KeyboardInterrupt | None = None

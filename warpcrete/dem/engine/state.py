@@ -41,7 +41,7 @@ NUMBERS = (
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return, for each struct of a state, the names of the arrays that the state stores; OF_BATCH lists exceptions."""
+    """Return, for each struct of a state, the names of the arrays that a state stores: all except those in OF_BATCH."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars

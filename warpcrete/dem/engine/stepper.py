@@ -156,8 +156,8 @@ class Stepper:
     def change(self, **settings: float) -> None:
         """Change parameters of the scene for the next steps.
 
-        `settings` may contain `local_damping`, the growth of sizes (`growth_rate` and `growth_end`), and `held`, which
-        is 1 while all walls stand still.
+        `settings` may contain `local_damping`, the growth of sizes (`growth_rate` and `growth_end`), and `held`. The
+        value 1 of `held` stops all walls with prescribed motion, and the value 0 releases them.
         """
         self.batch.set(self.index, **settings)
 
@@ -284,7 +284,7 @@ class Stepper:
         dt = self.dt
         if not stable > 0:
             raise InstabilityError(
-                f"the stable time step is {stable:.3g} s, which is not above 0",
+                f"the estimated stable time step is {stable:.3g} s, but it must be above 0",
                 time=self.time,
                 cure="masses, stiffnesses and dashpots within the range of single precision, or precision float64",
             )
@@ -352,10 +352,10 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether an estimate of the stable time step is due because the scene has taken a number of steps.
+        """Return whether the goal of the scene is a number of steps and an estimate of the stable time step is due.
 
-        The goal of a scene is a time or a number of steps. No estimate interrupts a goal in steps, because all these
-        steps have the same length, so an estimate can be overdue at their end.
+        All steps to such a goal have the same length, so no estimate interrupts them. An estimate can therefore be
+        overdue when the scene reaches its goal.
         """
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
@@ -408,7 +408,11 @@ def steppers_of(
     resumed: list[StepperRecord | None] | None = None,
     threads: int = 1,
 ) -> list[Stepper]:
-    """Create a batch of scenes that have equal :func:`batch_key`, and return a stepper for each scene."""
+    """Create a batch of scenes that have equal :func:`batch_key`, and return a stepper for each scene.
+
+    Each list has one entry for each scene. `time_steps` contains the settings of the time step, by default automatic.
+    `resumed` contains the `state_dict` of an earlier stepper, or None for a scene that starts anew.
+    """
     batch = Batch(models, states, threads=threads)
     among = NeighborLists(batch), StableStep(batch)
     load_kernels(*among)

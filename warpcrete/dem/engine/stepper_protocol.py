@@ -49,10 +49,10 @@ class SceneStepper(Protocol):
         ...
 
     def wants_estimate(self) -> bool:
-        """Return whether an estimate of the stable time step is due because the scene has taken a number of steps.
+        """Return whether the goal of the scene is a number of steps and an estimate of the stable time step is due.
 
-        The goal of a scene is a time or a number of steps. No estimate interrupts a goal in steps, because all these
-        steps have the same length, so an estimate can be overdue at their end.
+        All steps to such a goal have the same length, so no estimate interrupts them. An estimate can therefore be
+        overdue when the scene reaches its goal.
         """
         ...
 

@@ -18,9 +18,10 @@ LAWS = ByName({
     "plastic": PlasticMortar, "rolling": RollingResistance,
 })  # fmt: skip
 OWN_LAW = Needs("contact", lambda law: law is None, "is left out (its parameters are contact_NAME)")
-"""Condition for the parameters of the scene's own contact law: they apply only if `contact` chooses no other law."""
+"""Condition for the parameters of the scene's default contact law: they apply only if `contact` chooses no other
+law."""
 OWN_WALL_LAW = Needs("wall_contact", lambda law: law is None, "is left out (its parameters are wall_contact_NAME)")
-"""Condition for the parameters of the scene's own law on walls: they apply only if `wall_contact` chooses no other
+"""Condition for the parameters of the scene's default law on walls: they apply only if `wall_contact` chooses no other
 law."""
 
 

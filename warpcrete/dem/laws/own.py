@@ -83,8 +83,8 @@ def check_class(law: type) -> None:
     if not isinstance(inspect.getattr_static(law, "device_functions"), classmethod):
         refuse(
             f"{name}.device_functions",
-            "a method of objects",
-            "must be a method of the class",
+            "an instance method",
+            "must be a class method",
             "write @classmethod above it",
         )
     if not isinstance(law.rolls, bool):
@@ -119,8 +119,8 @@ def _check_field(name: str, field: Field) -> None:
             refuse(
                 name,
                 "a text",
-                "must be restricted to given words, because kernels cannot handle text",
-                "add OneOf((WORD, WORD)) after the help text",
+                "must be restricted to a list of words, because kernels cannot handle other text",
+                "add OneOf((WORD, WORD)) with the allowed words after the help text",
             )
         return
     refuse(
@@ -139,13 +139,21 @@ def check_object(law: Any) -> None:
         if callable(value):
             refuse(f"{name}.{own}", "a method", "must be a value or a property", "write @property above the method")
         if own == "stress_scale" and not (is_number(value) and 0 < value < float("inf")):
-            refuse(f"{name}.{own}", value, "must be a finite number above 0 Pa", "return the stress of a deep contact")
+            refuse(
+                f"{name}.{own}",
+                value,
+                "must be a finite number above 0 Pa",
+                "return F / d^2, where F is the force between two spheres of diameter d at the overlap d",
+            )
         if own != "stress_scale" and not isinstance(value, bool):
             refuse(f"{name}.{own}", value, "must be True or False", "compare numbers, as in self.friction > 0")
 
 
 def packing_law(law: Any, kind: type) -> Any:
-    """Return the law for packing that belongs to a user's contact law; raises :class:`SceneError` if it has none."""
+    """Return the contact law for packing, which the method `frictionless` of a user's contact law returns.
+
+    `kind` is the base class of contact laws. Raises :class:`SceneError` if the method fails or returns anything else.
+    """
     name = f"{type(law).__name__}.frictionless"
     if not callable(law.frictionless):
         refuse(name, law.frictionless, "must be a method", "leave out @property above it")
@@ -156,7 +164,10 @@ def packing_law(law: Any, kind: type) -> Any:
 
 
 def _called(name: str, call: Callable[[], Any]) -> Any:
-    """Return the result of a user's code; raises :class:`SceneError` if this code fails."""
+    """Call `call`, a piece of a user's code, and return the result.
+
+    Raises :class:`SceneError` with a message that begins with `name` if the code fails.
+    """
     try:
         return call()
     except SceneError:
@@ -185,7 +196,7 @@ def made_functions(law: Any, scalar: Any, parameters: Any) -> dict[str, Callable
             refuse(
                 name,
                 given,
-                f"must return the function {function!r} too{near}",
+                f"must also return the function {function!r}{near}",
                 f"write @wp.func def {function}({', '.join(arguments)})",
             )
         _check_function(law, function, made[function], arguments)
@@ -244,7 +255,11 @@ TOUCH = ("normal", "gap", "velocity", "twist", "tilt", "smaller_radius", "length
 
 
 def _wrong_value(law: type, name: str, number: int, reason: str, error: Exception) -> NoReturn:
-    """Raise a :class:`SceneError` for a value of the wrong type that a Warp function of a user's law returns."""
+    """Raise a :class:`SceneError` for a value of the wrong type that a Warp function of a user's law returns.
+
+    `name` is the name of the function, `number` is the index of the wrong value, `error` is the exception that Warp
+    raised, and `reason` is its text.
+    """
     values = RETURNED[name]
     allowed = values[0] if len(values) == 1 else "; ".join(f"{n + 1}. {value}" for n, value in enumerate(values))
     count = re.search(r"expected (\d+), got \d+", reason)

@@ -145,7 +145,10 @@ def _tried(law: ContactLaw, name: str, where: Circumstances) -> _Onset:
 
 
 def _onset(depth: np.ndarray, push: np.ndarray) -> float | None:
-    """Return the overlap at which a pushing force begins to grow [m]; None if it does not grow."""
+    """Return the overlap at which a pushing force begins to grow [m]; None if it does not grow.
+
+    `push` contains the forces [N] at the overlaps `depth` [m].
+    """
     growth = push - np.minimum.accumulate(push)
     limit = max(1e-6 * growth[-1], 1e-5 * np.abs(push).max())
     return float(depth[np.argmax(growth > limit)]) if growth[-1] > limit else None
@@ -194,7 +197,8 @@ def _march(
 def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> None:
     """Check values along a slow path, on which a contact closes and opens again and only its springs act.
 
-    The path has no sliding; `depth` is the overlap at each of its steps [m].
+    `found` contains the results of :func:`_march` along this path, which has no sliding. `depth` is the overlap at each
+    of its steps [m].
     """
     name = type(law).__name__
     for label in ("force", "stiffness", "energy"):
@@ -272,7 +276,10 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
 
 
 def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> None:
-    """Check that the work of the force on a path is the change of the stored energy plus the energy lost."""
+    """Check that the work done against the force on a path equals the change of the stored energy plus the energy lost.
+
+    `found` contains the results of :func:`_march` along the path, and `depth` is the overlap at each of its steps [m].
+    """
     name = type(law).__name__
     step = found.work.copy()
     step[:, 0] = step[:, 1]  # At the gap 0, a law may return no force yet, so use the next value instead.
@@ -293,7 +300,7 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
         refuse(
             f"{name}.energy()",
             f"{now:.3g} J at an overlap of {overlap:.3g} m {what}",
-            f"must be {right:.3g} J there, the work done against force() on the way from the gap 0",
+            f"must be {right:.3g} J there, the work done against force() since the overlap was 0",
             "return the opposite sign" if opposite else "integrate the force over the overlap, without dashpots",
         )
     refuse(
@@ -306,7 +313,11 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
 
 
 def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, speed: float) -> None:
-    """Check at several depths that dashpots and friction act against the motion, and that `stiffness` includes them."""
+    """Check that dashpots and friction act against the motion, and that `stiffness` returns large enough values for
+    them.
+
+    The bodies approach, separate and slide at the `speed` [m/s]; each motion is tested at the overlaps `depth` [m].
+    """
     name = type(law).__name__
     dt = 1e-3 * depth[0] / speed
     closing, opening = (_march(law, where, dt, 0, -depth, sign * speed, 0.0) for sign in (-1, 1))
@@ -358,12 +369,15 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
 
 
 def _check_gap(law: ContactLaw, found: SimpleNamespace) -> None:
-    """Check that a law returns no force at a positive gap; scenes with bonds call the law there."""
+    """Check that a law returned no force at positive gaps, where scenes with bonds call it.
+
+    `found` contains the results of :func:`_march` along a path of positive gaps.
+    """
     most = np.abs(found.force).max()
     if most > 0:
         refuse(
             f"{type(law).__name__}.force()",
             f"{most:.3g} N at a positive gap",
-            "must be 0 N there, because bonds call the law for bodies that do not touch",
+            "must be 0 N there, because the law is also called for bonded bodies that do not touch",
             "multiply the force by wp.where(touch.gap < 0, 1, 0)",
         )

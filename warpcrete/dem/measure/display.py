@@ -38,7 +38,10 @@ WORN = (255, 255, 255, 215)
 WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from the colour map of aggregates, and pale where a wall is not worn."""
 HEAP = {"spread": "spread", "top": "highest point"}
-"""Columns that show the shape of a heap over time, with their names, for tests that choose no columns."""
+"""Columns of the time series that show the shape of a heap, with their labels in plots.
+
+They are plotted for standard tests that do not choose other columns.
+"""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
 """Quantile of the depths of all worn patches that sets the top of the colour scale.

@@ -88,8 +88,8 @@ class Watch:
                 time,
                 fastest_body(self.model, self.state),
                 f"energy grew by {free - self.least:.3g} J without work of a wall or drive, which is "
-                f"{(free - self.least) / max(self.scale, 1e-300):.2g} of all energy in the scene; the limit is "
-                f"watch.energy = {limits.energy:g}",
+                f"{(free - self.least) / max(self.scale, 1e-300):.2g} of the largest energy in the scene so far; the "
+                f"limit is watch.energy = {limits.energy:g}",
                 scene=self.model.scene,
             )
 

@@ -34,8 +34,8 @@ UPRIGHT = 0.4
 """Smallest ratio of thickness to diameter at which the plug at the front of the concrete does not tip over behind a
 bend. In test runs, plugs with a ratio of 0.13 tipped over."""
 WIDEST_STONE = 0.4
-"""Largest diameter of rounded aggregate that can be pumped, divided by the pipe's diameter (ACI 304.2R); 1/3 for
-crushed aggregate."""
+"""Largest diameter of rounded aggregate that can be pumped, divided by the pipe's diameter (ACI 304.2R). For crushed
+aggregate the ratio is 1/3."""
 
 
 class ConcreteDefaults:
@@ -131,9 +131,13 @@ class PipeParameters(
     def distance(self) -> float:
         """Travel of the piston in the whole run [m].
 
-        It is the parameter `travel` if given, otherwise the sum of all strokes if `stroke` is given. By default the
-        travel is the arc of a bend; in a straight pipe it is three ramps per stroke if the piston stops between
-        strokes, otherwise two ramps, or the length of the concrete if there is no ramp.
+        It is the parameter `travel`, or otherwise the sum of all strokes of the length `stroke`. If neither is given,
+        it is
+
+        - the length of the arc in a bend,
+        - three ramps per stroke in a straight pipe, if the piston stops between strokes and has a ramp,
+        - two ramps in a straight pipe, if the piston has a ramp but does not stop,
+        - the length of the concrete in a straight pipe, if the piston has no ramp.
         """
         if self.travel is not None:
             return self.travel

@@ -243,7 +243,7 @@ def _meshed(given: PartElements) -> PipeLine:
         refuse("wall", given.wall, problem, "set 'unit' to mesh, or give a pipeline file with a part 'bore' as 'line'")
     if given.outlet_diameter is not None:
         problem = "has no effect together with 'wall', because the mesh has its own outlet"
-        refuse("outlet_diameter", given.outlet_diameter, problem, "leave it out")
+        refuse("outlet_diameter", given.outlet_diameter, problem, "leave out 'outlet_diameter'")
     mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
     wide, outlet = mesh.ends
     if abs(wide / given.diameter - 1) > DIAMETER_TOLERANCE:

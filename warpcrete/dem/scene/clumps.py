@@ -53,7 +53,7 @@ class ClumpTemplate:
     def shares(self) -> np.ndarray:
         """Fraction of the clump's volume that belongs to each sphere, shape (k,); the sum is 1.
 
-        A point belongs to the sphere in which it lies deepest below the surface.
+        A point in several spheres belongs to the sphere below whose surface it lies deepest.
         """
         if len(self.radii) == 1:
             return np.ones(1)

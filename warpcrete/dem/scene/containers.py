@@ -196,7 +196,7 @@ class Fill:
             problem = "must be given if there is no packing pressure, and left out otherwise"
             refuse("solid_fraction", self.solid_fraction, problem)
         if self.solid_fraction is not None and not 0.01 <= self.solid_fraction <= 0.8:
-            refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
+            refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "use 0.55 to 0.7 for dense mixes")
         if self.pressure is not None:
             positive("packing pressure", self.pressure, "Pa")
         if isinstance(self.templates, ClumpTemplate) or not self.templates:
