@@ -151,7 +151,7 @@ def test_factors_of_student(freedom, factor):
         ([Tap(0.0, 1e5, 0.01 * k, 2) for k in (1, 2, 3)],
          r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
         ([Tap(0.0, 8e5, 0.005, 2), Tap(0.0, 7.5e5, 0.01, 3), Tap(0.0, 7.4e5, 0.02, 4)], r"is impossible"),
-        ([Tap(0.0, 4e7, 0.01, 2), Tap(60.0, 3e7, 0.01, 3)], r"without slip at the wall that has a viscosity of 60 Pa s and a yield stress of 80 Pa"),
+        ([Tap(0.0, 4e7, 0.01, 2), Tap(60.0, 3e7, 0.01, 3)], r"a viscosity of 60 Pa s and a yield stress of 80 Pa"),
     ],
 )  # fmt: skip
 def test_points_that_do_not_suffice_are_refused(points, says):
