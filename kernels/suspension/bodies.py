@@ -330,7 +330,8 @@ def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     - `carry` sets the velocities of the faces that move with an aggregate.
     - `move` moves and turns the aggregate by one time step.
-    - `hasten` adds to its velocity the correction that keeps the mean velocity along a periodic pipe constant.
+    - `hasten` adds the correction that keeps the mean velocity along a periodic pipe constant to the velocity of the
+      aggregate.
     """
     vec, quat = mps_types(scalar, 3).vec, types(scalar).quat
     Grid = grid_parameters_struct(scalar, 3)

@@ -2,8 +2,8 @@
 
 A GPU spends most of the time of a viscous solve on reading the matrix. The preconditioner needs the matrix only
 approximately, so the copy rounds the off-diagonal entries to 16 bits (bfloat16, the upper half of a number in single
-precision). It does not store their columns: a face is coupled with at most ENTRIES other faces, whose places on the
-grid are known.
+precision). It does not store the columns of these entries, because they follow from the row: a face is coupled with at
+most ENTRIES other faces, at fixed offsets on the grid.
 
 The sum of the rounding errors of a row is added to the diagonal, so that a uniform motion causes the same forces as
 with the exact matrix. Otherwise, rounding errors would exceed the inertia of the mortar in long time steps. Rotations

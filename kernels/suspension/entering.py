@@ -2,7 +2,7 @@
 
 The plane is a wall that moves with the mean velocity of the flow. Behind it, a straight extension of the pipe holds the
 aggregates that have not entered yet. They move with the velocity of the plane, like a plug. An aggregate becomes free
-when it has entered entirely. Until then, its velocity is known, so the coupled solve must not change it.
+when it has entered entirely. Until then, its velocity is prescribed, so the coupled solve must not change it.
 """
 
 import functools

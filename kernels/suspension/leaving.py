@@ -2,7 +2,7 @@
 
 The grid contains mortar everywhere, also inside aggregates, so an aggregate adds only its own mass minus the mass of an
 equal volume of mortar. Beyond an open side there is no mortar. The part of an aggregate that has left therefore adds
-its whole mass and weight, until the aggregate has left entirely. It is then parked far away, where it moves no more.
+its full mass and weight. An aggregate that has left entirely is placed far away from the box, where it stays at rest.
 """
 
 import functools
@@ -17,7 +17,8 @@ from .bodies import BodyKind, body_structs, shape_functions
 from .pairs import pair_struct
 
 PARKED = wp.constant(1.0e3)
-"""Aggregates that have left the simulated box are parked at least this far from it [m]."""
+"""Smallest magnitude of one coordinate of an aggregate that has left the simulated box [m]. Such aggregates are placed
+far away from the box."""
 
 
 @functools.cache

@@ -196,7 +196,7 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
         ({"parts": {"cement": 340, "sand": 800, "gravel": 1000}, "slump": "5 in"}, "cubic metre, in kg/m3, includ"),
         ({"parts": {"cement": 340, "Total": 2310}}, "mix parts: Total = 2310: is a sum, not an ingredient; remove it"),
         ({"parts": {"cement": 340, "water": 170, "sand": 800, "gravel": 1000, "xyz": 1000}, "slump": "5 in"},
-         "contain 1000 kg/m3 of unknown density, for which the other parts, with 0.959 m3, leave no room in 1 m3"),
+         "contain 1000 kg/m3 of unknown density, for which there is no room, because the other parts fill 0.959 m3 of"),
         ({"parts": {"cement": 340, "air": "2 %"}}, "is the entry 'air' of a mix, not an ingredient; move it out of"),
         ({"parts": {"cement": 340, "w/c": 0.5}}, "is the entry 'water_binder' of a mix, not an ingredient"),
         ({"parts": {"OPC": 340, "water": 170, "FA": 800, "gravel": 1000}, "slump": "5 in"},

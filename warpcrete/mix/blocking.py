@@ -2,8 +2,8 @@
 
 Each rule compares a property of the mix, or the largest stone in a bore, with a published limit. The rules need no
 simulation, and cover causes that discrete elements cannot show, such as bleeding under pressure. They do not replace a
-trial. Best & Lane (report ADA107524, Waterways Experiment Station) found that a check list of ten properties predicts
-blocking best, but is conservative.
+pumping trial. Best & Lane (report ADA107524, Waterways Experiment Station) found that a check list of ten properties
+predicts blocking best, but is conservative.
 """
 
 import math
@@ -26,7 +26,7 @@ ANSWERS = {
 }
 """Answers to the question whether concrete will block a pump line, by the worst verdict of all rules of practice."""
 TOO_LITTLE = "too little is known about the concrete to say"
-"""Answer if most rules could not be applied, and no other rule says that the line blocks."""
+"""Answer if the mix lacks the entries for more than half of the rules, and all other rules have the verdict 'fine'."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
 """Maximum ratio of stone diameter to bore for which concrete can be pumped: for crushed and for rounded stones (ACI
 304.2R)."""
@@ -41,7 +41,8 @@ VOIDS = (0.20, 0.27)
 """Usual range of the volume of voids in compacted sand and stones, per bulk volume [m3/m3]. The range is an assumption
 for mixes that state no voids."""
 VOIDS_ERROR = 0.02
-"""Uncertainty of a measured volume of voids in compacted sand and stones, per bulk volume [m3/m3], to both sides."""
+"""Largest error of a measured volume of voids in compacted sand and stones, per bulk volume [m3/m3]. The true volume
+may be larger or smaller by this value."""
 SAND_SHARES = (0.38, 0.45)
 """Smallest and largest fraction of sand in the aggregate that the rule JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
@@ -56,8 +57,8 @@ FINES_PER_WATER = 1.75
 """Smallest ratio of the mass of powder and fine sand to the mass of water. With less, water may bleed out under
 pressure."""
 SLUMPS = (0.05, 0.10, 0.16)
-"""Three slumps [m]: the smallest with which concrete can be pumped, the smallest usual one, and the largest that is
-expected without a plasticizer."""
+"""Three slumps [m]: the smallest slump of concrete that can be pumped, the smallest slump that is usual for pumping,
+and the largest slump that is expected without a plasticizer."""
 LARGEST_SPREAD = 0.795
 """Largest spread [m] of a concrete in 403 measured flows of concrete through coils of pipe (W. Shen). All of these
 concretes could be pumped."""
@@ -320,9 +321,9 @@ def slump(mix: MixEntries) -> RuleVerdict:
 
 
 def lightweight(mix: MixEntries) -> Iterator[RuleVerdict]:
-    """Yield a verdict if the concrete is lightweight: its aggregate absorbs water under the pressure of the pump.
+    """Yield a verdict on lightweight concrete, whose aggregate absorbs water under the pressure of the pump.
 
-    Nothing is yielded for other concrete.
+    Yield nothing if the concrete is not lightweight.
     """
     if mix.density >= LIGHTWEIGHT:
         return

@@ -66,11 +66,12 @@ KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "
 LARGEST_NAMES = re.compile(
     r"(d ?max|size max|stone|(largest|max|maximum|nominal)( .*)? (size|stone|aggregate|grain))( size)?"
 )
-"""Pattern of names under which users state the largest stone, instead of the entry `sizes`."""
+"""Pattern of wrong names that users may write for the size of the largest stone. The error message suggests the entry
+`sizes`."""
 CLASSES = {"S1": (10, 40), "S2": (50, 90), "S3": (100, 150), "S4": (160, 210), "S5": (220, 290),
            "SF1": (550, 650), "SF2": (660, 750), "SF3": (760, 850)}  # fmt: skip
-"""Ends of the classes of slump (S) and spread (SF) in millimetres (EN 206); S5 has no upper end, and 290 mm is the
-largest slump that a mix may have."""
+"""Smallest and largest value of each class of slump (S) and of spread (SF) in EN 206 [mm]. The class S5 has no upper
+limit; 290 mm is the largest slump that a mix may have."""
 OTHER_NAMES = {
     **dict.fromkeys(("w c", "w b", "w cm", "wc", "wb", "water cement", "water cement ratio", "water binder ratio",
                      "w c ratio"), "water_binder"),
@@ -86,8 +87,9 @@ TOTALS = ("total", "sum", "total mass", "total weight", "batch weight", "total b
 GRAVEL = 2650.0
 """Density of coarse aggregate if the mix states none [kg/m3]."""
 SIMILAR_DENSITY = 0.15
-"""Relative difference between the densities of sand and stones up to which shares by mass are used. Rules of practice
-state these shares for aggregate of one density. Common rocks, with 2,500 to 3,000 kg/m3, lie within this limit."""
+"""Largest relative difference between the densities of sand and stones for which the share of sand is a mass fraction.
+With a larger difference, it is a volume fraction, because rules of practice state mass fractions for aggregate of one
+density. Common rocks, with 2,500 to 3,000 kg/m3, lie within this limit."""
 
 
 @dataclass(frozen=True)
@@ -116,9 +118,9 @@ class MixEntries:
     slump: float | None
     """Slump of the concrete [m]."""
     spread: float | None
-    """Spread of the slump cone's concrete at rest [m]."""
+    """Diameter at rest of the concrete from a slump cone (spread) [m]."""
     t500: float | None
-    """Time until the spread reaches 500 mm [s]."""
+    """Time from lifting the slump cone until the spread reaches 500 mm [s]."""
     layer: Layer
     paste_solids: float | None = None
     """Volume fraction of powder in the paste, which consists of powder, water and admixtures, without air."""
@@ -157,11 +159,11 @@ class MixEntries:
 
     @property
     def sand_share(self) -> float | None:
-        """Share of sand in the aggregate; None if unknown.
+        """Share of sand in the aggregate, which consists of sand and stones; None if unknown.
 
         The share is a mass fraction if the ingredients state the masses of sand and stones. It is a volume fraction if
-        sand and stones have different densities, as in lightweight and heavy concrete, or if the ingredients do not
-        tell sand from stones.
+        sand and stones have different densities, as in lightweight and heavy concrete, or if the names of the
+        ingredients do not distinguish sand from stones.
         """
         sand, stone = sand_and_stone_masses(self.parts)
         fine, coarse = sand_and_stone_volumes(self.parts, self.aggregate_density)
@@ -174,5 +176,5 @@ class MixEntries:
 
     @property
     def plasticizer(self) -> bool:
-        """True if the ingredients name a plasticizer."""
+        """True if one of the ingredients is a plasticizer."""
         return any(is_plasticizer(name) for name in self.parts)

@@ -51,7 +51,7 @@ class Figure:
 
 
 def short(value: float) -> str:
-    """Return a number as text with three significant digits, without an exponent from 0.0001 to 999999."""
+    """Return a number as text with three significant digits. Numbers from 0.0001 to 999999 have no exponent."""
     return f"{float(f'{value:.3g}'):g}"
 
 
@@ -109,7 +109,8 @@ def of_line(name: str, value: float, off: float, unit: str, way: str, count: int
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):
-        refuse(f"mix {name}", round(value, 6), f"follows from a straight line through {way}, but must be "
-               f"{'above 0' if viscous else '0 or more'} {unit}", "check the points and their units")  # fmt: skip
+        refuse(f"mix {name}", round(value, 6), f"follows from a straight line through measured points ({way}), but "
+               f"must be {'above 0' if viscous else '0 or more'} {unit}",
+               "check the points and their units")  # fmt: skip
     source = "straight line, 95 %" if count > 2 else "straight line; two points give no uncertainty"
     return Figure(name, value, max(value - off, 0.1 * value if viscous else 0.0), value + off, unit, way, source)

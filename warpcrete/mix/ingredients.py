@@ -28,8 +28,8 @@ DENSITIES = {
 }  # fmt: skip
 """Usual densities of ingredients [kg/m3]. The keys are words by which the name of an ingredient is recognised."""
 COARSE = ("gravel", "stone", "stones", "rock", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
-"""Words that mean coarse aggregate. If the mix states a density of coarse aggregate, it applies to ingredients with
-such a word in their names."""
+"""Words that mean coarse aggregate. If the mix states a density of coarse aggregate, ingredients with such a word in
+their names have this density."""
 LIGHT = ("lightweight", "light", "expanded", "pumice", "perlite")
 """Words for light aggregate, whose density differs from product to product."""
 MIXED_WITH_SAND = ("gravel", "stone", "stones", "chippings", "pebbles")
@@ -58,7 +58,7 @@ GENERAL = ("type", "powder", "binder")
 powder", says which kind of powder it is."""
 ROCKS = ("limestone", "marble", "quartz")
 """Words for rocks. An ingredient with such a word in its name is powder. However, it is aggregate if the name also says
-that the rock is crushed, or states a grain size or the number of a size."""
+that the rock is crushed, or states a grain size or a size number such as '#57'."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp", "hrwr", "hrwra",
                 "mrwr", "wr", "wra", "wrda")  # fmt: skip
 """Words in the names of ingredients that are plasticizers, which make concrete flow more easily. The abbreviations
@@ -66,10 +66,10 @@ stand for water reducers, of high range (HRWR) or medium range (MRWR)."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words in the names of ingredients that are viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
-"""Mass in a cubic metre [kg/m3] up to which an ingredient with an unknown name is taken for an admixture and ignored. A
-heavier one may be powder, so that the volume of the paste cannot be calculated."""
+"""Mass in a cubic metre [kg/m3] up to which an ingredient with an unknown name counts as an admixture and is ignored. A
+larger mass may be powder, so the volume of the paste cannot be calculated."""
 DENSEST = 8000.0
-"""Largest density of an ingredient [kg/m3]; steel has 7850."""
+"""Largest possible density of an ingredient whose density is unknown [kg/m3]; steel has 7850 kg/m3."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients together, without air, in a cubic metre of concrete [m3/m3].
 The upper limit exceeds 1, because the assumed densities of ingredients differ from their true densities."""
@@ -77,10 +77,10 @@ USUAL_AIR = (-0.02, 0.06)
 """Smallest and largest air content, calculated from the ingredients [m3/m3], that cause no warning. True contents are
 usually 1 to 3 %. The calculated content may be negative, because the densities of the ingredients are uncertain."""
 VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
-"""Two deviations of the volume of all ingredients and the stated air from one cubic metre [m3/m3]. A deviation above
-the first causes a warning, and a mix with a deviation above the second is refused."""
+"""Two limits on the difference between one cubic metre and the volume of all ingredients with the stated air [m3/m3]. A
+difference above the first limit causes a warning, and a difference above the second one an error."""
 MOIST_SAND = "if the sand was weighed moist, move its surface water to 'water' (notebooks/how-to/pump-pressure.md)"
-"""Advice about a mix that does not fill its volume."""
+"""Advice if the ingredients do not fill the volume of the concrete."""
 
 
 def _words(name: str) -> list[str]:
@@ -178,8 +178,8 @@ def sand_and_stone_volumes(parts: Mapping[str, float], coarse: float) -> tuple[f
 def _density(name: str, coarse: float) -> float | None:
     """Return the density of an ingredient [kg/m3], or None if it is unknown or varies too much.
 
-    `coarse` is the density of coarse aggregate [kg/m3]. Unless it is the usual one, the mix states it, and it takes
-    precedence over the density that follows from the ingredient's name.
+    `coarse` is the stated or assumed density of coarse aggregate [kg/m3]. If it differs from the usual density, the mix
+    states it, and all coarse aggregate has it. Otherwise, the density follows from the ingredient's name.
     """
     if coarse != DENSITIES["gravel"] and is_coarse(name):
         return coarse
@@ -202,12 +202,12 @@ def is_coarse(name: str) -> bool:
 
 
 def _noun(name: str) -> str:
-    """Return the word of an ingredient's name that tells what it is: usually the last word that the program knows.
+    """Return the word that tells what an ingredient is: usually the last word of its name that the program knows.
 
-    The result is empty if no word is known. For example, the result is "sand" for limestone sand, and a word for powder
-    for silica fume. Limestone that is crushed or has a size ("limestone 8/16", "#57 limestone") is aggregate, and so is
-    "#57" alone. "Type", "powder" and "binder" mean cement only if there is no other known word, as in "Type I/II".
-    Powder of stone is filler.
+    The result is empty if the program knows no word of the name. It is "sand" for limestone sand, "fume" for silica
+    fume, and "filler" for a powder of stone. Limestone that is crushed or has a size ("limestone 8/16", "#57
+    limestone") is aggregate, and so is an ingredient called "#57". The words "type", "powder" and "binder" mean cement
+    only if the name contains no other known word, as in "Type I/II".
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
@@ -332,8 +332,8 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
         else:
             filled += mass / density
     if 0 <= POSSIBLE_VOLUMES[1] - filled < unknown / DENSEST:
-        problem = (f"contain {unknown:.4g} kg/m3 of unknown density, for which the other parts, with {filled:.3f} m3, "
-                   "leave no room in 1 m3")  # fmt: skip
+        problem = (f"contain {unknown:.4g} kg/m3 of unknown density, for which there is no room, because the other "
+                   f"parts fill {filled:.3f} m3 of 1 m3")  # fmt: skip
         refuse("mix parts", ", ".join(parts), problem, "check the masses, and remove entries that are no ingredients")
     if air is not None:
         gap = 1 - filled - air

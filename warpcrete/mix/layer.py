@@ -16,8 +16,8 @@ from .entries import MixEntries
 from .figures import Figure, line_uncertainty, of_line
 
 TRIBOMETER_RATIO = (0.3, 2.0)
-"""Smallest and largest ratio of two values of a constant of the slip layer, the value from pipe pressures divided by
-the value from a tribometer, in 404 pipe flows of 22 concretes (Tavangar 2022)."""
+"""Smallest and largest ratio of a slip layer's constant from pipe pressures to the same constant from a tribometer.
+They were found in 404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe.
 Deliveries differ by 15 % on a single site (Mai et al. 2014), and by -38 to +31 % in general (Deng et al. 2024)."""
@@ -73,11 +73,11 @@ def paste_layer(solids: float) -> float:
 
 
 def film_layer(viscosity: float, aggregate: float) -> float:
-    """Return the viscosity [Pa s/m] of a slip layer that consists of the concrete's paste between the aggregates.
+    """Return the viscosity [Pa s/m] of a slip layer that consists of the concrete's paste, without sand and stones.
 
     `viscosity` is the viscosity of the concrete [Pa s], and `aggregate` the volume fraction of sand and stones.
-    Aggregate thickens the paste by the factor f = (1 - aggregate / 0.80)^(-2.5 0.80) (Krieger & Dougherty 1959). The
-    result is viscosity / (f 3 mm), for a layer 3 mm thick.
+    Sand and stones raise the viscosity of the paste by the factor f = (1 - aggregate / 0.80)^(-2.5 0.80) (Krieger &
+    Dougherty 1959). The result is viscosity / (f 3 mm), for a layer 3 mm thick.
     """
     return viscosity / (aggregate_factor(aggregate) * FILM)
 

@@ -17,8 +17,9 @@ LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "
 """Constants of the slip layer that a mix may state as measured, with their SI units. The last two belong to flow laws
 other than Bingham's."""
 LARGEST_UNCERTAINTY = 0.9
-"""Largest relative uncertainty of a measured constant. Its band extends by this fraction of the value to both
-sides. The band of a layer from a pipe extends by a factor instead, and may have any width."""
+"""Largest relative uncertainty that a mix may state for a measured constant. The uncertainty band extends by this
+fraction of the value upwards and downwards. The band of a slip layer that was fitted to pipe pressures extends by a
+factor instead, which may have any size."""
 CONTRADICTORY = "contradictory"
 """Value of the entry `gauges` of a slip layer that was fitted to a trial line whose gauges contradict each other."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
@@ -32,7 +33,7 @@ SHEARED = {"rate": "1/s", "stress": "Pa"}
 
 @dataclass(frozen=True)
 class Measured:
-    """Measured constants by name, and their common relative uncertainty, which is None if the mix does not state it."""
+    """Measured constants by name, and one relative uncertainty for all of them; None if the mix does not state it."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     uncertainty: float | None = None

@@ -35,13 +35,13 @@ CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
 """Causes of uncertainty, each with the constants of the concrete whose uncertainty it causes.
 
-If several constants have one cause, they are assumed to be at the lower ends of their uncertainty bands together, or at
-the upper ends.
+If several constants have one cause, all of them are assumed to be at the lower ends of their uncertainty bands, or all
+at the upper ends.
 """
 BULK = ("viscosity of the bulk", "yield stress of the bulk")
-"""Causes of uncertainty that are left out if the slip layer was fitted to a trial line with this concrete. An error in
-the viscosity or the yield stress of the bulk is then compensated by the fitted layer, because both together give the
-measured pressures."""
+"""Causes of uncertainty that are left out if the slip layer was fitted to a trial line with this concrete. The fitted
+layer then compensates an error in the viscosity or the yield stress of the bulk, because the fit makes bulk and layer
+give the measured pressures."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -50,7 +50,7 @@ WEIGHING = 0.01
 GAUGES_CONTRADICT = (
     "the slip layer was fitted to a trial line whose gauges contradict each other; find out why before you use it"
 )
-"""Remark on a slip layer that was fitted to gauges that no slip layer explains."""
+"""Remark on a slip layer that was fitted to gauge pressures which contradict each other."""
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
@@ -66,7 +66,7 @@ class Mix:
     remarks: tuple[str, ...] = ()
     """Warnings about the mix that are printed with the results."""
     other_layers: tuple[tuple[Figure, Figure], ...] = ()
-    """Other estimates of the slip layer than the one used, each a pair of viscosity and yield stress."""
+    """Estimates of the slip layer that are not used, each a pair of viscosity and yield stress."""
     factors: tuple[float, float] = (1.0, 1.0)
     """Factors on yield stresses and on viscosities that account for another age or temperature of the concrete, from
     the section `flow` of the concrete's file."""

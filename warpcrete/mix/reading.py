@@ -132,10 +132,10 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
 
 
 def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple[float, float] | None:
-    """Return the sizes of the stones [m] that the names of the parts state, as in '#67 stone' or 'gravel 4/16'.
+    """Return the smallest and the largest size of the stones [m] that the names of the ingredients state.
 
-    The result is None if the mix has a sieve curve, or if no part has such a name. If the names state several sizes,
-    the result reaches from the smallest to the largest of them.
+    Such names are '#67 stone' and 'gravel 4/16'. If the names state several ranges of sizes, the result covers all of
+    them. It is None if the mix has a sieve curve, or if no name states sizes.
     """
     if "sieve" in given:
         return None
@@ -149,7 +149,7 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
 
 
 def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:
-    """Return the entry `name`, converted by the argument `read`; None if the mix has no such entry.
+    """Return the entry `name`, converted by the function `read`; None if the mix has no such entry.
 
     If `read` raises an error, the error message states the line of the entry in the file.
     """
@@ -193,7 +193,7 @@ def _paste_share(given: Mapping[str, Any], masses: Mapping[str, float]) -> float
 
 
 def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the ratio of water to powder by mass, as stated or from the ingredients; None if unknown."""
+    """Return the mass ratio of water to powder, stated or calculated from the ingredients; None if unknown."""
     powder, water = powder_mass(masses), water_mass(masses)
     return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
 
@@ -231,7 +231,7 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _check_ingredient(name: str, value: Any) -> None:
-    """Refuse an item of `parts` that is no ingredient: another entry of the mix, or the sum of all ingredients."""
+    """Raise :class:`SceneError` if an item of `parts` is another entry of the mix or the sum of all ingredients."""
     plain = re.sub(r"[\W_]+", " ", name.casefold()).strip()
     if plain in TOTALS:
         refuse(
@@ -243,7 +243,10 @@ def _check_ingredient(name: str, value: Any) -> None:
 
 
 def _check_single(name: str, value: Any) -> None:
-    """Refuse a consistency class, such as 'S3', or a range; the error suggests the value in the middle instead."""
+    """Raise :class:`SceneError` if the entry is a consistency class, such as 'S3', or a range instead of one value.
+
+    The message suggests the measured value, or the middle of the class or range.
+    """
     text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
     if (ends := CLASSES.get(text.upper())) is not None and name in ("slump", "spread"):
         own = "spread" if len(text) > 2 else "slump"

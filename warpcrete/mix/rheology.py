@@ -69,8 +69,8 @@ band covers the three concretes of Xu, Li & Jiang (2021) and thinner concretes."
 def yield_stresses(given: MixEntries) -> Iterator[Figure]:
     """Generate estimates of the concrete's yield stress, the most accurate first.
 
-    Each kind of entry from which a yield stress follows gives one estimate: a measured constant, points of a
-    viscometer, the mortar, the spread and the slump.
+    Each of the following entries of the mix gives one estimate: a measured constant, points of a viscometer, the
+    mortar, the spread and the slump.
     """
     yield from _stated(given.concrete, "yield_stress", "Pa", "concrete")
     if given.viscometer_points is not None:
@@ -95,8 +95,8 @@ def yield_stresses(given: MixEntries) -> Iterator[Figure]:
 def viscosities(given: MixEntries) -> Iterator[Figure]:
     """Generate estimates of the concrete's plastic viscosity, the most accurate first.
 
-    Each kind of entry from which a viscosity follows gives one estimate: a measured constant, points of a viscometer,
-    the mortar, and T500 together with the spread.
+    Each of the following entries of the mix gives one estimate: a measured constant, points of a viscometer, the
+    mortar, and T500 together with the spread.
     """
     yield from _stated(given.concrete, "viscosity", "Pa s", "concrete")
     if given.viscometer_points is not None:
@@ -212,7 +212,8 @@ def _yield_stress_of(points: tuple[list[float], list[float]]) -> Figure:
 def _error(value: float, error: float, count: int) -> float:
     """Return the uncertainty of a constant that was fitted to points of a viscometer, in the unit of `value`.
 
-    It is the half width of the 95 % interval of the line, from the standard `error`, but not less than the usual error
-    of a rheometer. This error also affects points that happen to lie on a straight line.
+    The uncertainty is the half width of the 95 % confidence interval, which follows from the standard `error` of the
+    fit to `count` points. It is at least the usual error of a rheometer, because this error also affects points that
+    happen to lie on a straight line.
     """
     return max(line_uncertainty(error, count, value, RHEOMETER), RHEOMETER * abs(value))

@@ -29,8 +29,8 @@ UNIT = r"(?:mm|cm|in\b|inch(?:es)?\b|[\"\u201d\u2033])"
 SIZE = r"(?<![0-9/])(?<![0-9][.,])(?:(?:[1-3][ -])?[0-9]+/[0-9]+|[0-9]+(?:[.,][0-9]+)?|(?<![^\s(])\.[0-9]+)"
 """Pattern of a size without its unit, such as '20', '9.5', '3/4' or '1 1/2'."""
 NO_AMOUNT = rf"(?!\s*(?:[-\u2013/]|to\b)\s*[0-9]|[.,][0-9]|\s*{UNIT})(?!(?<=\b[1-3])\s+[0-9]+/[0-9])"
-"""Pattern that fails after a number that belongs to a range, a decimal, a fraction or an amount with a unit, such as
-'5-20', '9.5', '1 1/2' or '20 mm'. Such a number is no size number."""
+"""Pattern that follows a number and fails if this number is part of a range, a decimal, a fraction or an amount with a
+unit, such as '5-20', '9.5', '1 1/2' or '20 mm'. Such a number is no size number."""
 MARKED = re.compile(rf"(?:\bsize\s+)?(?:#|\b(?:no|number|size)\b\.?)\s*([0-9]+)s?\b{NO_AMOUNT}", re.IGNORECASE)
 """Pattern of a size number with a mark in the name of an ingredient, such as '#57', 'No. 57' or 'number 57'. The number
 in 'size 20 mm' is no size number."""
@@ -42,15 +42,15 @@ SIEVES = re.compile(
     r"(?<![0-9./,#])(?!(?:1/2|3/4|[1357]/8)\b)([0-9]+(?:[.,][0-9]+)?)\s*[/-]\s*([0-9]+(?:[.,][0-9]+)?)"
     r"(?![0-9/]|\s*(?:in|\"|[u\u00b5\u03bc]m))"
 )
-"""Pattern of two sieves in millimetres in the name of an ingredient, such as '4/16'. It does not match a fraction of an
-inch, such as '3/8'."""
+"""Pattern of two sieve openings in millimetres in the name of an ingredient, such as '4/16'. It does not match a
+fraction of an inch, such as '3/8'."""
 LARGEST = re.compile(rf"{SIZE}\s*{UNIT}")
 """Pattern of a size with its unit in the name of an ingredient, such as '20 mm' or '3/4 in'."""
 STONES = r"\s+(?:(?:crushed|coarse|washed)\s+)*(?:stone|rock|limestone|granite|gravel|aggregate)s?\b"
 """Pattern of the words for stones that may follow a size number."""
 UNMARKED = re.compile(rf"(?<![0-9.,/\u2013-])\b([0-9]{{2,3}})s?{STONES}", re.IGNORECASE)
-"""Pattern of a number before a word for stones, as in '57 stone'. It is a size number only if it is a known one, and
-not one of a single digit, because '8 gravel' may mean 8 mm."""
+"""Pattern of a number of two or three digits before a word for stones, as in '57 stone'. The number is a size number
+only if it is one of `SIZE_NUMBERS`. A single digit is no size number, because '8 gravel' may mean 8 mm."""
 NUMBER_OF_STONES = re.compile(rf"([0-9]+)s?{STONES}", re.IGNORECASE)
 """Pattern of a size number before a word for stones at the start of a text that states the size of stones."""
 
@@ -110,9 +110,9 @@ def _range(low: str, unit: str, joint: str, high: str, last: str) -> tuple[float
 
 
 def _possible(low: float, high: float) -> tuple[float, float] | None:
-    """Return a range of stone sizes [m] after replacing a lower end in the range of sand by :data:`SMALLEST`.
+    """Return the sizes `low` and `high` of stones [m], with :data:`SMALLEST` as the lower one if `low` is below 1 mm.
 
-    The result is None if stones cannot have these sizes.
+    A lower size below 1 mm is a size of sand. The result is None if stones cannot have these sizes.
     """
     if not max(low, FINEST) < high <= COARSEST or high < 2 * SMALLEST:
         return None
@@ -154,8 +154,8 @@ def sizes_by_number(field: str, text: str) -> tuple[float, float] | None:
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
     """Return a sieve curve as pairs of opening [m] and mass fraction that passes.
 
-    `given` maps openings [mm] to fractions, which may also be percentages. Raises :class:`warpcrete.SceneError` if they
-    do not form a sieve curve.
+    `given` maps the openings of the sieves [mm] to the mass fractions that pass them, which may also be percentages.
+    Raises :class:`warpcrete.SceneError` if these values do not form a sieve curve.
     """
     example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
     if not isinstance(given, Mapping) or len(given) < 2:
@@ -177,7 +177,8 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
     if passing != sorted(passing):
         fall = next(k for k in range(1, len(passing)) if passing[k] < passing[k - 1])
         refuse("mix sieve", given, f"falls from {passing[fall - 1]:g} at {1e3 * openings[fall - 1]:g} mm to "
-               f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: the share must not fall", example)  # fmt: skip
+               f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: a wider opening must not have a smaller "
+               "share", example)  # fmt: skip
     if passing[0] != 0 or passing[-1] != 1:
         refuse("mix sieve", given, "must have shares that rise from 0 to 1, or from 0 to 100 %", example)
     if openings[0] < FINEST:

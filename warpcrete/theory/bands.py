@@ -32,7 +32,7 @@ class Band:
 LOGARITHMIC = 4.0
 """Factor up to which a deviation from a positive value is measured as the logarithm of a ratio. Larger deviations grow
 in proportion to the difference from the value. They occur if the value is a small difference of large numbers, such as
-the pressure of a line that falls."""
+the pump pressure of a line that leads downhill."""
 
 
 def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
@@ -43,9 +43,9 @@ def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
 
     For a positive value, deviations up to a factor of :data:`LOGARITHMIC` are measured as logarithms of ratios, because
     an uncertainty by a factor of three means division or multiplication by three. Beyond this factor they grow
-    linearly, because the logarithm of a ratio has no meaning for results near zero: it would let the band exceed the
-    sum of all deviations. For a value of zero or below, all deviations are differences. If no result is negative, the
-    lower end of the band is not negative either.
+    linearly, because the logarithm of a ratio tends to infinity for results near zero: the band would become wider than
+    the sum of all deviations. For a value of zero or below, all deviations are differences. If no result is negative,
+    the lower end of the band is not negative either.
     """
     below, above = 0.0, 0.0
     widths = {}

@@ -119,8 +119,8 @@ MIXES = {
     "no2": dict(cement=338, sand=890, gravel=936, water=179, superplasticizer=0.845, viscosity_modifier=0.676),
     "no3": dict(cement=360, sand=872, gravel=913, water=191, superplasticizer=0.900, viscosity_modifier=0.720),
 }
-"""Masses of the ingredients of the three concretes of Xu et al. 2021 [kg/m3]. Their Table 1 states superplasticizer and
-viscosity modifier in per cent."""
+"""Masses of the ingredients of the three concretes of Xu et al. 2021 [kg/m3]. The masses of superplasticizer and
+viscosity modifier were calculated from Table 1 of the paper, which states them in per cent of the cement."""
 
 BELOW_RADIUS = "use 0 for no slip layer, or less than the radius of the pipe"
 """Advice in the error message for a slip layer that is as thick as the radius of the pipe or thicker."""

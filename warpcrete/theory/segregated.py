@@ -23,7 +23,7 @@ between the bounds."""
 
 @dataclass(frozen=True)
 class Segregated:
-    """Concrete in a pipe whose aggregate fraction differs between the inner and the outer half of the pipe's radius."""
+    """Concrete in a pipe, with one aggregate fraction in the inner and another in the outer half of the radius."""
 
     concrete: Concrete
     """Concrete with its aggregate evenly distributed."""

@@ -270,8 +270,8 @@ def funnel_time(
     Stretching of the concrete in the taper is neglected. `half_widths` holds the half widths at the outlet and at the
     brim [m]. `heights` holds the heights of the straight outlet and of the whole funnel [m]. `layer` is a slip layer on
     all walls, as in :func:`duct_stress`; without it, concrete sticks to them. The result is the time until the surface
-    of the concrete reaches the straight outlet. The concrete left in the outlet is then already falling, although the
-    friction of its slices would hold it back in the model.
+    of the concrete reaches the straight outlet. The concrete that is still in
+    the outlet then falls out, although in the model the friction of its slices would stop it.
     """
     narrow, brim = half_widths
     throat, whole = heights
