@@ -23,8 +23,9 @@ from .vectors import share_functions, store_function, vector_struct
 ENTRIES = 14
 """Number of off-diagonal entries of a row.
 
-A face is coupled with the two faces of the same axis that follow and precede it along this axis. Along each of the
-other two axes, it is coupled with two faces of its own axis and with four faces of that other axis.
+The axis of a face is the axis to which the face is perpendicular. A face is coupled with its two neighbours of the same
+axis along this axis. For each of the other two axes, it is coupled with its two neighbours of the same axis along that
+other axis, and with four faces of that other axis.
 """
 
 NEIGHBOURS = """

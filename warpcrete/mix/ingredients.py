@@ -39,8 +39,8 @@ VARIABLE = (*LIGHT, "clay", "recycled", "polypropylene", "pp", "pva",
           "synthetic", "polymer", "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""
 MIN_AMOUNT = 0.01
-"""Smallest amount of an ingredient [kg/m3] that is accepted. Even admixtures usually amount to 0.1 kg/m3 or more, so
-that a smaller amount is probably a mistake."""
+"""Smallest amount of an ingredient [kg/m3] that is accepted. Even admixtures usually amount to 0.1 kg/m3 or more, so an
+amount below the limit is probably a mistake."""
 POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone",
            "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
            "microsilica", "fume")  # fmt: skip

@@ -19,15 +19,16 @@ TRIBOMETER_RATIO = (0.3, 2.0)
 """Smallest and largest ratio of a slip layer's constant from pipe pressures to the same constant from a tribometer.
 They were found in 404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
-"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe.
-Deliveries differ by 15 % on a single site (Mai et al. 2014), and by -38 to +31 % in general (Deng et al. 2024)."""
+"""Relative uncertainty of a slip layer's constants that were fitted to pipe pressures of an earlier delivery of the
+same recipe. Deliveries differ by 15 % on a single site (Mai et al. 2014), and by -38 to +31 % in general (Deng et al.
+2024)."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the powder's densest packing.
 
 They were chosen with pressures measured in level pump lines of 325 to 1,044 m with concretes of nine families
-(water-binder ratios of 0.17 to 0.44). Other measurements were kept for tests. The root mean square of the factor
-between predicted and measured friction is 1.33. The best fit, about 150 Pa s/m and 0.95, would reduce this factor only
-to 1.31; many pairs of constants fit almost equally well.
+(water-binder ratios of 0.17 to 0.44). Other measurements were reserved for tests. Predicted and measured friction
+differ by a factor of 1.33 (root mean square). The best fit, about 150 Pa s/m and 0.95, would reduce this factor only to
+1.31; many pairs of constants fit almost equally well.
 """
 PASTE_ERROR_FACTOR = 1.7
 """Factor by which the true viscosity of a slip layer may be smaller or larger than the result of :func:`paste_layer`.
