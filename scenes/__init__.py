@@ -64,10 +64,10 @@ def modules() -> dict[str, ModuleType]:
 
 
 def _second(file: ModuleType) -> ModuleType:
-    """Return the module of the scene NAME-dem, whose members `file`, the module of the scene NAME, also defines.
+    """Return a module for the scene NAME-dem from a `file` that defines both scenes of a test, NAME and NAME-dem.
 
-    The returned module has the members `scene`, `check` and `trading`, like the modules of other scenes. It can be
-    imported as NAME_dem, because worker processes of studies import scenes by name.
+    The members `scene_dem`, `check_dem` and `trading_dem` of `file` become the members `scene`, `check` and `trading`
+    of the returned module. It can be imported as NAME_dem, because worker processes of studies import scenes by name.
     """
     name = f"{file.__name__}_dem"
     if name not in sys.modules:

@@ -84,7 +84,11 @@ def _particles(
     axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None,
     materials: Mapping[str, np.ndarray],
 ) -> None:  # fmt: skip
-    """Draw the particles behind a vertical plane through the axis, so that the inside of the flow is visible."""
+    """Draw the particles behind a vertical plane through the axis, so that the inside of the flow is visible.
+
+    `places` are the positions [m] and `shades` the colours of the particles. :func:`plot_flow` describes the other
+    arguments.
+    """
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import EllipseCollection
     from matplotlib.colors import Normalize

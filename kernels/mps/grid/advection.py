@@ -65,8 +65,8 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     ):  # fmt: skip
         """Return a velocity component at a position, its gradient, and the total weight of the faces that contribute.
 
-        The component is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
-        far from the concrete, their total weight is 0.
+        The component is interpolated between the faces of the grid. Only faces with a known velocity, which have a
+        nonzero entry in `good`, are used. In air, far from the concrete, their total weight is 0.
         """
         base = whole()
         s = vec()
@@ -100,8 +100,8 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def carry(g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
         """Return the velocity at a position, its gradient, and the total weight of the faces that contribute.
 
-        The velocity is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
-        far from the concrete, their total weight is 0.
+        The velocity is interpolated between the faces of the grid. Only faces with a known velocity, which have a
+        nonzero entry in `good`, are used. In air, far from the concrete, their total weight is 0.
         """
         here = vec()
         slopes = mat()

@@ -77,10 +77,10 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def change(g: Grid, mesh: Fields, c: whole, axis: wp.int32) -> scalar:
-        """Return the change of the shear stress at a corner over one cell along an axis [Pa], in two dimensions.
+        """Return the magnitude of the change of the shear stress over the length of a cell along an axis [Pa].
 
-        The stress is averaged over three neighbouring corners across this axis, so that oscillations from cell to cell
-        do not amplify themselves.
+        The result is a central difference at the corner `c` of a two-dimensional grid. It is averaged over three
+        neighbouring corners across this axis, so that oscillations from cell to cell do not amplify themselves.
         """
         sum = scalar(0.0)
         for n in range(3):

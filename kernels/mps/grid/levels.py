@@ -25,9 +25,9 @@ reduces all components of the error."""
 SINGULAR = wp.constant(1.0e-4)
 """Lower limit of a coarse row's diagonal, divided by the sum of the diagonals of its finer rows.
 
-Rows with a smaller ratio get a diagonal of 0, so that smoothing leaves them unchanged. Only the pressure in a closed
-space that is full of concrete has such a row. There the matrix is singular, because a constant pressure exerts no net
-force.
+Rows with a smaller ratio get a diagonal of 0, so that smoothing leaves their unknowns unchanged. Only the system for
+the pressure in a closed space full of concrete has such a row. Its matrix is singular, because a constant pressure
+exerts no net force.
 """
 
 

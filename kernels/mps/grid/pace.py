@@ -192,7 +192,10 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
-        """Return the wanted length of the next step [s], from the error and the speed of the completed step."""
+        """Return the length of the next step [s] that the error and the speed of the completed step allow.
+
+        If `first` is true, the error is not used, because it is not known in the first step.
+        """
         dt = clock[DT]
         # Limit the growth of the time step relative to the step that was wanted before. The actual length of the
         # previous step may be shorter, because a step is cut short to end at a given time.

@@ -35,7 +35,8 @@ CARRIED = 0.8
 """Largest fraction of a cell's last pressure change that is added to its next change, in flows with a free surface."""
 STIFF = 5.0
 """Viscous number of a cell, eta dt / (rho h^2), at which half of `CARRIED` is used. The viscosity eta is the apparent
-one, and h is the width of the cell. If STIFF were 30, half of the effect in a spreading heap would be lost."""
+one, and h is the width of the cell. With STIFF = 30, the addition would have only half as much effect in a spreading
+heap."""
 
 
 @functools.cache

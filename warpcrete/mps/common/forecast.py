@@ -53,7 +53,7 @@ def flow_forecast(
     `simulated` creates the simulation. From the prepared simulation, `course_of` returns the expected duration and mean
     time step, and `features_of` returns texts that describe what the flow computes. `probe` measures the wall time of
     recording one frame. `limits` are the largest time steps that single effects allow [s], by the name of the effect.
-    `governing` states which effect limits the time step. :class:`Forecast` has attributes of the same names.
+    `governing` states which effect limits the time step. `limits` and `governing` become attributes of the forecast.
     """
 
     def begun() -> FlowRun:

@@ -138,7 +138,10 @@ class FlowRun(Simulation):
         return {name: np.array([row[name] for row in self._rows]) for name in (self._rows[0] if self._rows else ())}
 
     def result(self, finished: bool) -> Run:
-        """Return the results of the run so far: its time series, quantities and tables."""
+        """Return the results of the run so far: its time series, quantities and tables.
+
+        `finished` is stored in the results; it is False if the run was interrupted.
+        """
         scene, flow, series = self.scene, self.flow, self.series()
         result: dict[str, Any] = {
             "scene": scene.name,

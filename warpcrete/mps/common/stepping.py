@@ -270,12 +270,13 @@ class _Run:
 def run_abreast(
     simulations: Sequence[Any], checkpoints: Sequence[Path | None], progress: Progress
 ) -> list[Run | BaseException]:
-    """Run flows of one device and return the run or the error of each.
+    """Run several flows on one device; return the result of each run, or the error with which it failed.
 
-    On a GPU, as many flows as fit run at the same time, each on its own stream. On a CPU the flows run in turn. Reading
-    an array waits for all streams of the device. All flows are therefore launched together and then checked together.
-    Each flow gives the same bits as when it runs alone, and a failure does not affect the others. After an interruption
-    (Ctrl-C) unfinished runs are returned unfinished; `KeyboardInterrupt` takes the place of runs that had not begun.
+    `checkpoints` contains for each flow the checkpoint from which it resumes, or None. On a GPU, as many flows as fit
+    run at the same time, each on its own stream. On a CPU the flows run in turn. Reading an array waits for all streams
+    of the device, so in each round all flows are launched before any of them is checked. Each flow gives the same bits
+    as when it is the only one, and a failed flow does not affect the other flows. After an interruption (Ctrl-C), the
+    function returns unfinished results of the runs that had begun, and `KeyboardInterrupt` for all other runs.
     """
     if len(simulations) < 2 or not parallel(simulations[0].device):
         return run_in_turn(simulations, checkpoints, progress)

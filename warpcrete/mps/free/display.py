@@ -183,7 +183,10 @@ class FreeDisplay(GridDisplay):
 
 
 def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool) -> DrawnWall:
-    """Return the surface that a line of radii and heights [m] sweeps about the axis."""
+    """Return the surface of revolution of a line of radii and heights [m] as a drawn wall.
+
+    `moves` is True if the position of the wall changes in time.
+    """
     facets = 48
     angle = 2 * np.pi * np.arange(facets) / facets
     ring = np.stack([np.cos(angle), np.sin(angle)], 1)
@@ -197,7 +200,10 @@ def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool) -> Drawn
 
 
 def _extruded(name: str, line: np.ndarray, colour: Colour, moves: bool, low: float, high: float) -> DrawnWall:
-    """Return the surface that a line in the plane of x and z [m] sweeps from one depth to another [m]."""
+    """Return the surface that a line in the plane of x and z [m] sweeps from y = `low` to y = `high` [m].
+
+    The surface is returned as a drawn wall. `moves` is True if the position of the wall changes in time.
+    """
     vertices = np.array([(x, y, z) for x, z in line for y in (low, high)])
     faces = [
         f for k in range(len(line) - 1) for f in ((2 * k, 2 * k + 1, 2 * k + 2), (2 * k + 1, 2 * k + 3, 2 * k + 2))

@@ -131,7 +131,10 @@ def speeds(flow: GridFlow) -> np.ndarray:
 
 
 def _at_start(layout: GridLayout, about_axis: bool) -> Specimen:
-    """Return the quantities that a standard test measures, for the initial particles before the first step."""
+    """Return the quantities that a standard test measures, for the initial particles before the first step.
+
+    `about_axis` is True if the vessel is a body of revolution.
+    """
     top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.particle_spacing for axis in (-1, 0))
     return Specimen(
         top=lambda radius: top,

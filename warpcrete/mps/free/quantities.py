@@ -64,7 +64,10 @@ def quantities() -> tuple[Quantity, ...]:
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield further lines of the report: published values, and a note if the concrete is not at rest."""
+    """Yield further lines of the report as pairs (label, text).
+
+    The lines contain published values, and a note if the concrete is not at rest.
+    """
     for name, value in run.scene.published.items():
         if name in run.result:
             yield f"{name}, Xu", f"{1e3 * value:.0f} mm printed (Xu, Li & Jiang 2021)"

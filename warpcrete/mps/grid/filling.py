@@ -22,8 +22,9 @@ def fill_cells(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of particles in the concrete [m], shape (n, axes), and their relative masses, shape (n,).
 
-    A particle in a full cell has the mass 1. The particles of a partly filled cell share the mass of the concrete in it
-    equally, but each mass is limited to the range from 1 / MAX_MASS to MAX_MASS.
+    A full cell gets `per_axis` particles along each axis, each of mass 1. `concrete` is a function that returns for
+    each point, shape (n, axes), whether it lies in the concrete. The particles of a partly filled cell share the mass
+    of the concrete in it equally, but each mass is limited to the range from 1 / MAX_MASS to MAX_MASS.
     """
     axes = len(room.cells)
     each = _sample_points(room, per_axis)
@@ -48,7 +49,10 @@ def fill_cells(
 
 
 def _sample_points(room: Room, per_axis: int, chosen: np.ndarray | None = None) -> np.ndarray:
-    """Return points spread over each cell, or over the `chosen` cells, shape (cells..., points, axes) [m]."""
+    """Return sample points in each cell, `per_axis` along each axis, shape (cells..., points, axes) [m].
+
+    If `chosen` contains indices of cells, shape (n, axes), only these cells get points.
+    """
     axes = len(room.cells)
     if chosen is None:
         chosen = np.moveaxis(np.indices(room.cells), 0, -1)

@@ -24,7 +24,7 @@ MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
 CLEARANCE, MIN_CELLS_LEFT = 1.0, 4
 """Limits for the measurement of friction in straight pipes. CLEARANCE is the length that is left out at both ends of a
-straight pipe, divided by its radius. MIN_CELLS_LEFT is the minimum length of the rest, in cells."""
+straight pipe, divided by its radius. MIN_CELLS_LEFT is the minimum length of the stretch between them, in cells."""
 ROUNDNESS_TOLERANCE = 0.03
 """Maximum relative deviation of a mesh's radius, around the axis, from the radius of a circle of equal area. With
 larger deviations, theory of round pipes is not applied."""
