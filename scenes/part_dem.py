@@ -104,7 +104,7 @@ def _stations(given: PartElements, course: Course) -> Stations:
 
 
 def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]:
-    """Yield remarks on simplifications and on stones that are too large for pumping."""
+    """Yield remarks on simplifications and on aggregates that are too large for pumping."""
     narrow = course.narrowest
     yield from law_remarks(given)
     if given.shapes == "spheres":

@@ -263,7 +263,7 @@ def _rest(given: PipeParameters) -> Rest | None:
 
 
 def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
-    """Yield remarks on simplifications, unused parameters, and stones that are too large for pumping."""
+    """Yield remarks on simplifications, unused parameters, and aggregates that are too large for pumping."""
     yield from law_remarks(given)
     own = given.contact is None and given.wall_contact is None
     if own and given.concrete in shipped() and concrete(given.concrete).calibrated:

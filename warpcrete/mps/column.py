@@ -281,7 +281,7 @@ CURES = {
 
 
 def _cures(run: Run) -> dict[str, str]:
-    """Return, by the name of each acceptance check, advice to the user if a run fails this check.
+    """Return advice to the user for each acceptance check that a run may fail, by the name of the check.
 
     The advice for a flow with aggregates does not mention the grid, on which such a flow cannot be simulated.
     """

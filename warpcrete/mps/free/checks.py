@@ -12,7 +12,7 @@ CURES = {
 
 
 def check_flow(volume_error: float) -> Check:
-    """Return a function that checks a run; the run's relative change of volume must be less than `volume_error`."""
+    """Return a function that checks a run: its relative error of the volume must be less than `volume_error`."""
 
     @with_cures(CURES)
     def check(run: Run) -> dict[str, tuple[bool, str]]:

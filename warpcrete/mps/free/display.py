@@ -51,7 +51,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def copies(self) -> int:
-        """Number of images of each particle: 1 in two dimensions; 1, 2 or 4 in three, due to planes of symmetry."""
+        """Number of images of each particle: 1 in two dimensions; in three, twice as many for each plane of symmetry."""
         return len(self._mirrored)
 
     def centres(self) -> np.ndarray:

@@ -23,7 +23,8 @@ SAMPLES = 30
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:
     """Return the data from which the results of a scene's standard test are computed; None if the scene has no test.
 
-    `volume` is the initial volume of the concrete [m3]: per metre of depth in a plane, and per radian about an axis.
+    `volume` is the initial volume of the concrete [m3]; in plane flow per metre of depth, in axisymmetric flow per
+    radian.
     """
     concrete = dict(concrete=scene.whole_concrete, density=scene.whole_concrete.density)
     weight = dict(gravity=scene.gravity, whole=whole_volume(scene, volume))
