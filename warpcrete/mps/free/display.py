@@ -51,7 +51,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def copies(self) -> int:
-        """Number of images of each particle: 1 in two dimensions; in three, twice as many for each plane of symmetry."""
+        """Number of images of each particle: 1 in two dimensions; doubled by each plane of symmetry in three."""
         return len(self._mirrored)
 
     def centres(self) -> np.ndarray:
