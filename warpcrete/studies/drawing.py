@@ -48,8 +48,8 @@ def draw(
 
     Error bars show the scatter between seeds. Quantities of the same unit share a panel. Each quantity has its own
     marker, and each set of values of the other varied parameters its own colour. Points of a numeric parameter are
-    joined by lines. Values by theory are dashed grey lines. Marks at the bottom show values of the parameter at which a
-    case or a check failed. Rings mark those means to which only some of the runs contribute.
+    joined by lines. Closed-form predictions are dashed grey lines. Marks at the bottom show values of the parameter at
+    which a case or a check failed. Rings mark those means to which only some of the runs contribute.
     :meth:`warpcrete.studies.study_result.Study.plot` explains `quantity`, `x`, `unit` and `y_unit`.
     """
     names = study.varied or ["seed"]
@@ -122,7 +122,7 @@ def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str])
 
 
 def _unit(study: Any, name: str) -> tuple[float, str]:
-    """Return the unit in which a parameter is drawn, preceded by the factor that converts SI values to this unit.
+    """Return the factor that converts SI values of a parameter to the unit in which it is drawn, and this unit.
 
     Flows that the user stated without a unit are drawn in m3/h.
     """
@@ -177,7 +177,10 @@ def _panel(
     axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity],
     x_scale: tuple[float, str], y_scale: tuple[float, str], theory: _TheoryCurves,
 ) -> None:  # fmt: skip
-    """Draw all quantities of one physical unit, as functions of one parameter, into one panel of the figure."""
+    """Draw all quantities of one physical unit, as functions of the parameter `name`, into one panel of the figure.
+
+    `x_scale` and `y_scale` each hold the factor from the SI unit to the displayed unit, and the displayed unit.
+    """
     mine = [row for row in rows if name in row] or rows
     values = list(dict.fromkeys(row.get(name, 0) for row in mine))
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)

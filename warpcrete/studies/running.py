@@ -117,7 +117,7 @@ def _run_group(
     progress_of: Callable[[Case], Progress],
     progress: Progress,
 ) -> bool:
-    """Run a group of cases together on a GPU, store their outcomes, and return whether Ctrl-C ended the runs."""
+    """Run a group of cases at the same time on a GPU, and store their outcomes; return whether Ctrl-C ended them."""
     simulations: list[Simulation] = []
     with StopAtSample(simulations) as stop:
         by_name, found = simulations_of(record, module, folder, group, progress_of)
@@ -143,9 +143,9 @@ def _run_group(
 def _outcomes(
     by_name: dict[str, tuple[Simulation, Path | None]], progress: Callable[[str, float], None]
 ) -> dict[str, Run | BaseException]:
-    """Run the simulations together with the function `run_many` of their simulation method.
+    """Run simulations at the same time, and return the outcome of each one by case name.
 
-    Return the outcomes by case name.
+    All simulations belong to one simulation method, whose function `run_many` runs them.
     """
     if not by_name:
         return {}
@@ -203,7 +203,7 @@ def run_case(
 def run_cases(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], stop_requested: Callable[[], bool]
 ) -> list[Any]:
-    """Run cases of a study together, and return their outcomes.
+    """Run cases of a study at the same time, and return their outcomes.
 
     Each run on a CPU has as many threads as `record` states (default 1). The runs end early when the callback
     `stop_requested` returns True. The result has one element for each case: the contents of its result.json, the

@@ -96,7 +96,7 @@ class Study:
         return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
 
     def unit(self, parameter: str) -> tuple[float, str]:
-        """Return the unit in which a parameter is displayed, preceded by the factor that converts SI values to it.
+        """Return the factor that converts SI values of a parameter to the unit in which it is displayed, and this unit.
 
         The unit is the one in which the user stated the parameter. Values without a unit are displayed in SI units.
         """
@@ -193,14 +193,14 @@ class Study:
         """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
         `quantity` selects one number in the results of the runs, such as "pressure", which is drawn together with its
-        theory. `x` selects the varied parameter on the horizontal axis. `unit` is the unit of this parameter, such as
-        "m3/h", and `y_unit` is the unit of the quantity. Raises :class:`SceneError` for names and units that the study
-        does not have.
+        closed-form prediction. `x` selects the varied parameter on the horizontal axis. `unit` is the unit of this
+        parameter, such as "m3/h", and `y_unit` is the unit of the quantity. Raises :class:`SceneError` for names and
+        units that the study does not have.
         """
         return draw(self, quantity, x, unit, y_unit)
 
     def _repr_html_(self) -> str:
-        """Return the table of means and scatters as HTML for notebooks."""
+        """Return the table of means and standard deviations as HTML for notebooks."""
         rows = [line.strip("| ").split(" | ") for line in self.markdown().splitlines() if not line.startswith("|--")]
         return html_table(rows[1:], rows[0], repr(self))
 

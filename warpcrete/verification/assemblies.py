@@ -81,7 +81,7 @@ def _momenta(state):
 def pumping(device, precision) -> list[Row]:
     """Check the energy balance of a pumping run: the work done equals the stored energy plus the dissipated energy.
 
-    A piston pushes a column of bonded bodies up a pipe, at whose upper end they push a loaded plate.
+    A piston pushes a column of bonded bodies up a pipe. At the upper end of the pipe, the column pushes a loaded plate.
     """
     axis = Axis((0, 0, 0), UP, (Line(0.4),))
     radius, length = 0.035, 0.1
@@ -126,9 +126,10 @@ def pumping(device, precision) -> list[Row]:
 def janssen(device, precision) -> list[Row]:
     """Compare the load on the floor of a silo of spheres with Janssen's theory.
 
-    The floor sinks slowly, so that the friction of the wall is fully mobilised. Vertical equilibrium with wall friction
-    mu and the measured ratio K of wall stress to vertical stress gives a load of m_s g (1 - exp(-m/m_s)) on the floor,
-    where m is the mass of the spheres and m_s = rho_b pi R^3 / (2 mu K).
+    The floor sinks slowly, so that the friction of the wall is fully mobilised. Vertical equilibrium with the wall
+    friction mu and the measured ratio K of wall stress to vertical stress gives a load of m_s g (1 - exp(-m/m_s)) on
+    the floor. Here m is the mass of the spheres and m_s = rho_b pi R^3 / (2 mu K), with the bulk density rho_b and the
+    radius R of the silo.
     """
     radius, height, friction = 0.03, 0.15, 0.4
     axis = Axis((0, 0, 0), UP, (Line(0.5),))

@@ -30,7 +30,7 @@ def sphere_on_floor(contact, height=RADIUS, **changes) -> Scene:
 
 
 def oscillator(device, precision) -> list[Row]:
-    """Compare a sphere that oscillates on a floor under gravity with the exact damped oscillator.
+    """Compare a sphere that oscillates on a floor under gravity with the exact solution of the damped oscillator.
 
     The sphere is released so gently that it never lifts off.
     """

@@ -162,8 +162,8 @@ AXES: dict[str, tuple[float, float]] = {
 def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]]:
     """Yield name, scene and number of steps of every case.
 
-    There are three kinds of cases. In the first kind, a single parameter has an extreme value. In the second kind,
-    every parameter of `AXES` has its lowest or highest value. The others are special scenes.
+    There are three kinds of cases: scenes in which a single parameter has an extreme value, scenes in which every
+    parameter of `AXES` has its lowest or highest value, and special scenes. `large` adds a scene of a million spheres.
     """
     yield "all parameters at their middle", cup, STEPS
     for fraction in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):

@@ -149,8 +149,8 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that are refused, that stop early, or that may do so, each with an excerpt from the expected error message. If
-the excerpt is empty, the flow may either run to its end or stop."""
+"""Flows that must be refused or must stop, by name, each with an excerpt from the expected error message. With an empty
+excerpt, the flow may stop with any error, or run to its end."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),
@@ -167,8 +167,8 @@ extreme value, and scenes in which all parameters have extreme values (the corne
 def scenes() -> Iterator[Case]:
     """Yield name, scene and number of steps of every case.
 
-    There are three kinds of cases. In the first kind, a single parameter is extreme. In the second kind, all parameters
-    in `AXES` are extreme at once. The others are special flows.
+    There are three kinds of cases: flows in which a single parameter has an extreme value, flows in which all
+    parameters of `AXES` have extreme values, and special flows.
     """
     for d in (2, 3):
         yield from _singles(f"{d}D: ", d)

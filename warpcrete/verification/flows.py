@@ -73,12 +73,18 @@ def _rows(name: str, scene: FluidScene, device: str, precision: str) -> list[Row
 
 
 def sheared_channel(device: str, precision: str) -> list[Row]:
-    """Compare flows on a grid between planes, with little or no slip and Bingham numbers of 0 to 100, with theory."""
+    """Compare flows between planes, computed on a grid, with theory.
+
+    The concrete has a Bingham number of 0 to 100, and it sticks to the planes or slips a little.
+    """
     return _sheared(2, device, precision)
 
 
 def sheared_tube(device: str, precision: str) -> list[Row]:
-    """Compare flows on a grid in a round pipe, with little or no slip and Bingham numbers of 0 to 100, with theory."""
+    """Compare flows in a round pipe, computed on a grid, with theory.
+
+    The concrete has a Bingham number of 0 to 100, and it sticks to the wall or slips a little.
+    """
     return _sheared(3, device, precision)
 
 

@@ -40,7 +40,9 @@ TEST_5_SPIN = np.array([
 def spheres_on_a_plane(law, radius, density, velocities, spins, device, precision, steps_per_contact=400):
     """Simulate impacts of spheres on a plane, and return their velocities [m/s] and spins [rad/s] after the impacts.
 
-    The spheres lie so far apart that they do not touch each other. Each result has the shape (spheres, 3).
+    `velocities` and `spins` are the values before the impacts. These arrays and both results have the shape (spheres,
+    3). The spheres lie so far apart that they do not touch each other. A time step is the duration of an elastic impact
+    divided by `steps_per_contact`.
     """
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)

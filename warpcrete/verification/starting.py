@@ -108,7 +108,10 @@ def worst(
 
 
 def start(device: str, precision: str) -> list[Row]:
-    """Compare flows that start from rest, in channel and tube, with stick or slip, with and without a yield stress."""
+    """Compare flows that start from rest with the one-dimensional solution.
+
+    The flows in channel and tube stick to the wall or slip, and have a yield stress or none.
+    """
     found = []
     for dimensions, form in ((2, "channel"), (3, "tube")):
         for number, layer, error, end in START_CASES:

@@ -66,7 +66,10 @@ def mortar_state(
     speed: float = 1e-3,
     regularisation: float = 1e4,
 ) -> GridState:
-    """Return the state of a mortar at rest that fills a box centred on the origin."""
+    """Return the state of a mortar at rest that fills a box centred on the origin.
+
+    `cells` is the number of cells along each axis, and `width` the edge length of a cell [m].
+    """
     room = Room(tuple(cells), (width,) * 3, tuple(-0.5 * n * width for n in cells), sides)
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, 2, lambda x: nearest(x)[0] > 0)
@@ -179,8 +182,8 @@ def approaching(across: int, gap: float, shift: Sequence[float], device: str, pr
     """Return the speed of two equal spheres that are pushed together, divided by the exact speed (Brenner 1961).
 
     The exact speed is that in an infinite fluid; the simulated box is ten sphere radii wide. `across` is the number of
-    cells across a sphere, `gap` the gap in cells, and `shift` the offset of the midpoint from the corner of a cell, in
-    cells.
+    cells across a sphere, and `gap` the gap between the spheres in cells. `shift` is the offset of the midpoint between
+    the spheres from the corner of a cell, in cells.
     """
     width = 2 * RADIUS / across
     half = RADIUS + 0.5 * gap * width
@@ -269,8 +272,9 @@ def bingham_case(device: str, precision: str) -> list[Row]:
     """Check that a sphere sinks in mortar of a low yield stress, and stays in mortar of a high yield stress.
 
     The limit between the two is the yield criterion of Beris et al. (1985), a ratio of yield stress to weight. The
-    regularised mortar creeps even below its yield stress. Therefore the regularisation is made ten times stiffer: a
-    sinking sphere keeps its speed, while the speed of a sphere that should stay drops to a tenth.
+    regularised mortar creeps even below its yield stress, so each sphere is simulated with two regularisations. With a
+    ten times stiffer regularisation, a sinking sphere keeps its speed, while the speed of a sphere that should stay
+    drops to a tenth.
     """
     ratios = [
         falling_in_bingham(number, 1e5, device, precision) / falling_in_bingham(number, 1e4, device, precision)

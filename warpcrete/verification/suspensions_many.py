@@ -52,9 +52,11 @@ def suspension(
 ) -> SuspensionFlow:  # fmt: skip
     """Return a suspension of equal spheres at random places between two moving walls.
 
-    `across` is the number of cells across a sphere. The simulated box is `wide` sphere diameters wide along the first
-    two axes, and `long` sphere diameters long along the third axis. Each time step shears the suspension by the shear
-    strain `strain`.
+    `fraction` is the volume fraction of the spheres, and `across` the number of cells across a sphere. The simulated
+    box is `wide` sphere diameters wide along the first two axes, and `long` sphere diameters long along the third axis.
+    Each time step shears the suspension by the shear strain `strain` at the shear rate `rate` [1/s]. `extra_density` is
+    the density of the spheres minus that of the mortar [kg/m3], `yield_stress` the yield stress of the mortar [Pa],
+    `coupled` the tolerance of the coupled solve, and `friction` the coefficient of friction of the spheres.
     """
     width = 2 * RADIUS / across
     cells = (wide * across, wide * across, long * across)
@@ -160,7 +162,7 @@ def balance_case(device: str, precision: str) -> list[Row]:
 
 
 def random_case(device: str, precision: str) -> list[Row]:
-    """Compare the viscosity of a suspension of spheres at random places with Lionberger & Russel (1994)."""
+    """Compare the viscosity of a suspension of randomly placed spheres with Lionberger & Russel's formula (1994)."""
     found = []
     for fraction, allowed in ((0.05, 0.06), (0.1, 0.06), (0.2, 0.06), (0.3, 0.06), (0.4, 0.12)):
         core = mean_core([random_structure(fraction, seed, device, precision) for seed in range(SEEDS)])
@@ -170,7 +172,10 @@ def random_case(device: str, precision: str) -> list[Row]:
 
 
 def yield_case(device: str, precision: str) -> list[Row]:
-    """Compare the yield stress of a suspension at a Bingham number of 1 with Chateau, Ovarlez & Trung (2008)."""
+    """Compare the yield stress of a suspension with the law of Chateau, Ovarlez & Trung (2008).
+
+    The Bingham number is 1.
+    """
     factor, expected = yield_factor(0.2, 0, 1.0, device, precision)
     return [Row("yield stress, divided by that of the mortar", factor, expected, 0.15)]
 

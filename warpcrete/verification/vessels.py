@@ -42,7 +42,7 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout in which concrete fills the part of a `room` that no wall occupies.
+    """Return keyword arguments of a grid layout in which concrete fills the part of a `room` that no wall occupies.
 
     `abreast` is the initial number of particles along each axis in a cell that is full of concrete.
     """
@@ -138,7 +138,7 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
 
 
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
-    """Return the flow in a periodic round pipe, on a three-dimensional grid with `cells` cells across its width.
+    """Return the flow in a periodic round pipe, on a three-dimensional grid that is `cells` cells wide.
 
     The grid is a tenth wider than the pipe, and the pipe's axis does not lie in the middle of the grid.
     """
@@ -185,7 +185,10 @@ def pipe_in_space(device: str, precision: str) -> list[Row]:
 
 
 def tilted_vessel(**given) -> FreeScene:
-    """Return the scene of a vessel with two slanted sides that cross the grid's cells, filled up to 0.2 m."""
+    """Return the scene of a vessel with two slanted sides that cross the grid's cells, filled up to 0.2 m.
+
+    The keywords `given` replace arguments of the scene.
+    """
     left = ((-0.5, -0.5), (0.6, -0.5), (0.17, 0.013), (0.03, 0.5), (-0.5, 0.5))
     right = ((0.17, 0.013), (0.6, -0.5), (0.6, 0.5), (0.37, 0.5))
     return FreeScene(**{

@@ -129,9 +129,9 @@ class Posterior:
         return float(mean.mean()), float(np.sqrt(mean.var() + (deviation**2).mean()))
 
     def emulator_error_ratio(self, target: Target) -> float:
-        """Return the emulator's standard error divided by the target's uncertainty.
+        """Return the emulator's standard error, divided by the uncertainty of the target.
 
-        The standard error is the root mean square over the posterior samples.
+        The standard error is the root mean square of the emulator's standard deviations at the posterior samples.
         """
         return float(np.sqrt((self.emulators[target](self.samples)[1] ** 2).mean()) / target.uncertainty)
 
@@ -266,11 +266,11 @@ def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:
 
 
 def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the probability that runs at these points succeed, estimated from previous runs nearby.
+    """Return the logarithm of the probability that runs at the points `at` succeed, by previous runs nearby.
 
-    `at` are these points, shape (m, free), and `points` are the points of previous runs, shape (n, free). Their
-    coordinates are the free parameters, each scaled to 0 to 1 over its range. `sound` is True for the previous runs
-    that succeeded, shape (n,).
+    `at` has the shape (m, free), and `points` holds the points of previous runs, shape (n, free). The coordinates of a
+    point are the free parameters, each scaled to 0 to 1 over its range. `sound` is True for the previous runs that
+    succeeded, shape (n,).
     """
     if sound.all():
         return np.zeros(len(at))

@@ -79,12 +79,12 @@ MEASUREMENTS = {
 
 
 def pressure_text(pressure: float) -> str:
-    """Return a pressure [Pa] in bar, MPa and psi."""
+    """Return a pressure [Pa] as text in bar, MPa and psi."""
     return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / PSI:.4g} psi)"
 
 
 def time_text(seconds: float) -> str:
-    """Return a time [s] in seconds, in minutes from two minutes on, or in hours from three hours on."""
+    """Return a time [s] as text: in seconds, in minutes from 2 min on, and in hours from 3 h on."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.3g} min" if seconds < 3 * 3600 else f"{seconds / 3600:.3g} h"
@@ -126,8 +126,8 @@ ON_CONCRETE = (
     "all pressures act on the concrete; the oil pressure on the pump's own gauge is this pressure times the ratio of "
     "the areas of concrete piston and oil piston (data sheet)"
 )
-"""Sentence that explains why the pump's own gauge does not show the pressure of the concrete: it measures the pressure
-of oil. The sentence is printed for lines with a pump."""
+"""Sentence that explains why the gauge of a pump does not show the pressure of the concrete: it measures the pressure
+of the hydraulic oil. The sentence is printed for lines with a pump."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,10 @@ def _movements(longest: float | None) -> str:
 
 
 def _stop_text(longest: float | None) -> str:
-    """Return the longest stop [s] in whole minutes, rounded down."""
+    """Return the longest stop [s] as text in whole minutes, rounded down.
+
+    The result is "less than 1 min" for a stop below :data:`SHORTEST_STOP`, and for None.
+    """
     if longest is None or longest < SHORTEST_STOP:
         return "less than 1 min"
     return f"{'at least ' if longest >= LONGEST_STOP else ''}{longest // 60:.0f} min"
@@ -234,7 +237,7 @@ def _stop_text(longest: float | None) -> str:
 
 @dataclass(frozen=True)
 class PumpMargin:
-    """Comparison of a line's needs with the data sheet of a pump."""
+    """Comparison of the pressure, flow and power that a line needs with the data sheet of a pump."""
 
     pump: Pump
     band: Band

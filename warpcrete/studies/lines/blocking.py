@@ -162,8 +162,8 @@ def _parameters(
 ) -> dict[str, Any]:
     """Return the scene parameters of one simulation that pumps concrete through a part.
 
-    The simulation ends as soon as the part is blocked, and measures no losses. If the concrete has a contact law of its
-    own, this law stays unchanged. Otherwise the stones' friction is at least :data:`FRICTION` and their modulus at
+    The simulation ends as soon as the part is blocked, and measures no losses. If the concrete's file states a contact
+    law, this law stays unchanged. Otherwise the stones' friction is at least :data:`FRICTION` and their modulus at
     least :data:`MODULUS`, because smoother or softer stones would pass bores that block in reality.
     """
     wide = max(part.diameter, part.outlet)

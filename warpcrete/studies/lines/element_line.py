@@ -84,8 +84,8 @@ class SeedResult:
         """Return the friction and the weight of each part [Pa], as pairs in the order of the parts in the line.
 
         The friction depends on the local pressure, which is zero where concrete runs down faster than it is pumped,
-        because the concrete column transmits no tension (:func:`.course_of`). With such a stretch, the pressure at the
-        start of the line is larger than the sum of all friction and weight.
+        because the concrete column transmits no tension (:func:`.course_of`). If the line has such a stretch, the
+        pressure at its start is larger than the sum of all friction and weight.
         """
         pressure, found = 0.0, []
         for part in reversed(line.parts):
@@ -109,9 +109,10 @@ class SeedResult:
         return course_of([friction + weight for friction, weight in self.course(line)])[0]
 
     def _gradient(self, part: Part, along: float, pressure: float) -> float:
-        """Return the friction of straight pipe [Pa/m] at the fraction `along` of a part's length, from 0 to 1.
+        """Return the friction of straight pipe [Pa/m] at a local `pressure` [Pa], interpolated along a part.
 
-        The friction is interpolated between the values for the diameters at both ends of the part.
+        `along` is the place in the part, as a fraction of its length. The friction is interpolated between the values
+        for the diameters at both ends of the part.
         """
         begin, end = (self.laws[diameter].gradient(pressure) for diameter in (part.diameter, part.outlet))
         return along * end + (1 - along) * begin
@@ -132,7 +133,7 @@ class ElementLine:
     """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same
     time, their wall times overlap."""
     elapsed: float = 0.0
-    """Wall time in which all new simulations together were packed and run [s]."""
+    """Total wall time for packing and running all new simulations [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed plausibility checks with the values that they found, by the name of the run folder."""
 

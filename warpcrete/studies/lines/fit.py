@@ -47,8 +47,8 @@ yield stress of the slip layer [Pa], and 2 is the factor of bends. A constant be
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 GAUGE = 0.04
-"""Default error of a gauge, divided by the largest measured pressure. The largest permissible error of a gauge of class
-2.5 is 2.5 % of the end of its scale (EN 837-1), and this end is assumed at 1.6 times the largest pressure."""
+"""Default error limit of a gauge, divided by the largest measured pressure. The largest permissible error of a gauge of
+class 2.5 is 2.5 % of the end of its scale (EN 837-1), and this end is assumed at 1.6 times the largest pressure."""
 READING = 0.25
 """Assumed standard deviation of single readings of a gauge, divided by the error limit of the gauge. It is the error
 that differs from reading to reading, for example because the pressure pulsates. With the default limit of 4 %, it is
@@ -272,7 +272,12 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
 
 
 def _check_result(found: np.ndarray, free: Sequence[int], concrete: Concrete) -> None:
-    """Refuse a fit that gave an impossible slip viscosity, slip yield or factor of bends."""
+    """Raise :class:`SceneError` if a fitted constant is impossible.
+
+    `found` holds the slip viscosity, the slip yield stress and the factor of bends, and `free` the indices of those
+    that were fitted. A slip viscosity above :data:`NO_SLIP` is impossible, as is a fitted constant at or below its
+    limit in :data:`LEAST`.
+    """
     if found[0] > NO_SLIP:
         raise SceneError(
             "fit: the measured friction is larger than that of a concrete without slip at the wall that has a "
@@ -306,7 +311,10 @@ def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
 
 
 def _least_squares(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
-    """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps."""
+    """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps.
+
+    `start` holds the initial values of all constants, and `free` the indices of those that may change.
+    """
     own, places = start.copy(), list(free)
     off = model.pressures(own) - measured
     for _ in range(ITERATIONS):

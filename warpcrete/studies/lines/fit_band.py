@@ -18,8 +18,9 @@ from .tap_model import TapModel, metre_model
 from .taps import SAME_FLOW, Tap
 
 SCALED = "not determined by these points; multiplied by the same factor as the viscosity, to fit what was known before"
-"""Text on a yield stress of the slip layer that the measured pressures do not determine. It says that the yield stress
-was multiplied by the same factor as the viscosity, when the fit was combined with earlier knowledge of the layer."""
+"""Remark on a yield stress of the slip layer that the measured pressures do not determine. It says that the yield
+stress was multiplied by the same factor as the viscosity, when the fit was combined with earlier knowledge of the
+layer."""
 LAYER_FACTORS, UNCERTAINTIES, BISECTIONS = (1e-6, 1e6), (1e-9, 1e6), 60
 """Settings of searches by bisection: the range of the factor by which a slip layer is multiplied, the range of the
 layer's uncertainty, and the number of bisection steps."""

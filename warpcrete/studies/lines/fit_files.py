@@ -26,7 +26,7 @@ def fitted_concrete(
     """Return the contents of a concrete's file with the fitted slip layer and its uncertainty.
 
     `concrete` is the concrete before the fit, and `mix` its mix, if it has one. `source` is the file or the shipped
-    description of the concrete, whose other entries are kept; it is None if the user stated only the slump or spread.
+    description of the concrete, whose other entries are copied; it is None if the user stated only the slump or spread.
     `line` is the name of the trial line.
     """
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"

@@ -57,7 +57,8 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
     The viscosity of the two layers is at least `THINNEST`, unless the fitted viscosity is smaller.
 
     The function also adds `layer_ends`, the layers at both ends of the band of the friction. Their yield stresses
-    follow from the friction, because the errors of the two in the fit are correlated (`yield_slope`).
+    follow from the friction, because the fitted friction and the fitted yield stress have correlated errors
+    (`yield_slope`).
 
     If the yield stress was not fitted, the band of the fitted viscosity is widened to contain the viscosities of the
     two layers.
@@ -95,9 +96,12 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
 def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
     """Add to a fit the uncertainty that its slip layer has in another line, which is larger than in the trial line.
 
-    The uncertainty has two causes. At the flows `OTHER_FLOWS`, the layers of :func:`with_yields` have another friction
-    than the fitted layer. Besides, the friction of the trial line's fittings is uncertain, which affects the fitted
-    layer, and another line has other fittings. The bands of the layer's constants also contain the second cause.
+    The uncertainty has two causes in addition to those in the trial line:
+
+    - At the flows `OTHER_FLOWS`, the layers of :func:`with_yields` have another friction than the fitted layer.
+    - The friction of the trial line's fittings is uncertain, which affects the fitted layer.
+
+    The bands of the layer's constants are widened by the second cause only.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     fittings = _deviation_by_fittings(fit, line, concrete)

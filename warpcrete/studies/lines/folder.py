@@ -21,7 +21,7 @@ def check_known(known: Path | None) -> None:
 
 
 def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
-    """Return the folder of a finished run of the same scene, or None if there is none.
+    """Return the folder of a finished run of the scene `scene`, or None if there is none.
 
     The folders of several pump `lines` are searched. If the simulated part has a mesh, `digest` is the checksum of the
     mesh file, and only folders whose name contains this checksum are considered.

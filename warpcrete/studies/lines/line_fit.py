@@ -114,7 +114,8 @@ class LineFit:
     that the measured pressures do not distinguish from the fitted layer."""
     later_uncertainty: float = 0.0
     """Uncertainty u of the slip layer's resistance if the layer is used in another line, at 0.5 to 2 times the measured
-    flows. It contains the errors that the fittings of the trial line cause in the layer."""
+    flows. It includes the error of the fitted layer that is due to the uncertain friction of the trial line's
+    fittings."""
     expected: float = 1.0
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""
     laws: Mapping[str, float] = field(default_factory=dict)
@@ -168,7 +169,7 @@ class LineFit:
     def law_entries(self, viscous: float) -> dict[str, float]:
         """Return the constants in :attr:`laws` as entries for a concrete's file.
 
-        The file multiplies viscosities by the factor `viscous`, so viscosities are divided by it here.
+        Viscosities are divided by the factor `viscous` here, because they are multiplied by it when the file is read.
         """
         divisors = {"quadratic_viscosity": viscous}
         return {key: float(f"{value / divisors.get(key, 1.0):.9g}") for key, value in self.laws.items()}

@@ -68,7 +68,7 @@ def _level(part: Part) -> float:
 
 
 def _hose(length: float, lengths: tuple[float, float]) -> float:
-    """Return the loss of a hose with the given `length` [m], divided by the loss that a rule states for a hose.
+    """Return the loss of a hose of the given `length` [m], divided by the loss that a rule of practice states.
 
     The rule states one loss for all hoses whose length is between the two `lengths` [m]. The loss per metre of a
     shorter or longer hose is assumed to be that of the shortest or longest hose of the rule.
@@ -165,10 +165,10 @@ def practice_rows(
 
 
 def _as_straight(kinds: Collection[str], others: Sequence[str]) -> str:
-    """Return a remark that names those kinds of parts in a line that count as straight pipe; empty if there are none.
+    """Return a remark that names the kinds of parts in a line that a rule of practice treats as straight pipe.
 
     These are the kinds that the rule does not cover (`others`). `kinds` are the kinds of the line's parts, without
-    parts whose friction the line's file states.
+    parts whose friction the line's file states. The remark is empty if no such kind occurs.
     """
     found = [GROUPS[kind] for kind in others if kind in kinds]
     return f"; {' and '.join(found)} count as straight pipe, because the rule does not cover them" if found else ""

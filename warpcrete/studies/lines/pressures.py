@@ -20,7 +20,7 @@ P = TypeVar("P", bound="LinePressures")
 
 @dataclass(frozen=True)
 class Loss:
-    """Pressure losses of one part of a line, by friction and by weight."""
+    """Pressure losses of one part of a line [Pa], by friction and by weight."""
 
     part: Part
     friction: float
@@ -33,7 +33,7 @@ class Loss:
 
     @property
     def straight(self) -> float:
-        """Friction of a straight pipe of the same bore and length by the closed form [Pa]."""
+        """Friction of a straight pipe of the part's bore and length by the closed form [Pa]."""
         return self.theory / self.part.relative
 
     @property
@@ -139,11 +139,11 @@ class LinePressures:
         return places, found
 
     def measured(self: P, cause: str, factors: tuple[float, float]) -> P:
-        """Return a copy whose uncertainty is the one that would remain after a measurement of the concrete.
+        """Return a copy with the uncertainty that would remain if properties of the concrete were measured.
 
-        `cause` is the cause of uncertainty whose properties are measured, a key of
-        :data:`warpcrete.mix.mix.CAUSES` such as 'slip layer'. The measurement is assumed to confirm the present values
-        of these properties. `factors` are the ends of the remaining uncertainty band, divided by the measured value.
+        `cause` is the cause of uncertainty whose properties are measured, a key of :data:`warpcrete.mix.mix.CAUSES`
+        such as 'slip layer'. The measurement is assumed to confirm the present values of these properties. `factors`
+        are the ends of the remaining uncertainty band, divided by the measured value.
         """
         low, high = (
             with_layer_factor(self.concrete, x) if cause == "slip layer"

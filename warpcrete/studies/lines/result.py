@@ -47,8 +47,8 @@ COVERAGE = {"paste": " in about nine of ten cases", "fit": " in about 95 % of ca
 """Remarks on how often the uncertainty band of a line's pressure contains the true pressure, by the origin of the slip
 layer:
 
-- 'paste': the composition of the paste. `warpcrete validate` finds that the band contains the friction of straight pipe
-  for 93 % of the concretes (values of a model), and the pressure of two of three measured lines.
+- 'paste': the composition of the paste. `warpcrete validate` finds that the band contains 93 % of the frictions of
+  straight pipe that a statistical model of measured concretes gives, and the pressure of two of three measured lines.
 - 'fit': a fit to a trial line with this concrete, now or earlier.
 - 'contradicted': an earlier fit, in which the gauges of the trial line contradict each other.
 - 'other': any other origin.

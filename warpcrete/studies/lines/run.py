@@ -36,7 +36,7 @@ diameters."""
 CURE = "; usual cure: "
 """Words in the text of a failed check that precede the scene parameters by which the failure can be avoided."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
-"""Options of `warpcrete line` by which the failure of a simulated part's check can be avoided, by name of the check."""
+"""Option of `warpcrete line` that helps if a check of a simulated part fails, by the name of the check."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -159,7 +159,7 @@ def run_line(
 
 
 def _failure(check: str, found: str) -> str:
-    """Return what a failed check has found, and the option of `warpcrete line` that avoids the failure, as text."""
+    """Return the finding of a failed check, and the option of `warpcrete line` that avoids the failure, as text."""
     text = f"{check}: {found.split(CURE)[0]}"
     return f"{text}{CURE}{LINE_CURES[check]}" if check in LINE_CURES else text
 

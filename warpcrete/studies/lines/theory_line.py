@@ -25,7 +25,7 @@ LAYER_FACTOR = 2.0
 
 
 def check_settings(flow: float, layer_factor: float) -> None:
-    """Refuse a flow [m3/s] that is not positive, and a factor of the slip layer's uncertainty below 1."""
+    """Raise an error if the flow [m3/s] is not positive or the uncertainty factor of the slip layer is below 1."""
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
 

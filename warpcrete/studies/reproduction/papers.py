@@ -219,6 +219,7 @@ def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
     """Return the cases of Xu, Li & Jiang (2021), by the name of their group, as pairs of a scene and its parameters.
 
     The paper computes flow between planes (scene `channel`); the cases in a round pipe (scene `tube`) are an addition.
+    With `quick`, the cases in a pipe and some of the other cases are left out.
     """
     column = {"length": 0.3, "diameter": 0.1}
     flows = XU_FLOWS[1::2] if quick else XU_FLOWS

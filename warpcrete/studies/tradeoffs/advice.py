@@ -77,7 +77,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 
 
 def _kinds_of_aggregates(given: Any) -> tuple[bool, bool]:
-    """Return two truth values: whether a flow has aggregates made of particles, and whether it has rigid bodies."""
+    """Return whether the aggregates of a flow are groups of particles, and whether they are rigid bodies."""
     # Test `is True`, because `aggregates` is a truth value in the parameters of channels and tubes, but a function,
     # which would count as true, in the parameters of vessels.
     grouped = getattr(given, "aggregates", None) is True

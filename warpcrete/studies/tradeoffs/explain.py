@@ -106,9 +106,9 @@ def explain(
 
 
 def _frames(simulation: Any) -> dict[str, float]:
-    """Return the mean wall time [s] that each recorder that is on by default needs for one frame, by its name.
+    """Return the mean wall time per frame [s] of each recorder that is on by default, by the name of the recorder.
 
-    This includes the time for finishing the recording at the end of a run, divided by the number of frames.
+    This time includes the time for finishing the recording at the end of a run, divided by the number of frames.
     """
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):

@@ -90,7 +90,7 @@ class Judging(ABC):
         return next((p for p in self.tried if p.variant == point.variant and p.levels == levels), None)
 
     def shift(self, knob: Knob, level: int) -> float:
-        """Return the error that a knob causes at one of its levels, compared with its finest level that was measured.
+        """Return the error that a knob causes at one of its levels, relative to the finest measured level of this knob.
 
         A knob is an accuracy parameter such as the time step, and a level is one of its values. The result is the
         largest error of all measured quantities, or infinity if a run failed. A difference that the scatter between

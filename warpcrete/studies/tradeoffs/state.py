@@ -307,7 +307,10 @@ class Trade(Judging):
         self._store_outcome(point, seed, outcome)
 
     def _run_on(self, cluster: Cluster, due: Iterator[tuple[Setting, list[int], float]]) -> None:
-        """Run jobs on workers, each of which performs one job at a time, and add the elapsed wall time to `spent`."""
+        """Run the jobs from `due` on workers, and add the elapsed wall time to the attribute `spent`.
+
+        Each worker performs one job at a time.
+        """
         before, begun, running = self.spent, time.perf_counter(), 0
         record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
 

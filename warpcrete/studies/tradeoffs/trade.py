@@ -47,11 +47,12 @@ combinations of several changed knobs."""
 
 
 def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
-    """Measure speed against accuracy of a scene function, such as ``warpcrete.scenes.pipe``.
+    """Measure how the accuracy settings of a scene function, such as ``warpcrete.scenes.pipe``, affect its cost.
 
-    The settings `budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers` and
-    `progress`, and the errors raised, are explained in :func:`run_trade`. All other keywords are parameters of the
-    scene. `out` is the new folder (default: runs/trade-NNN).
+    The study measures the run time and the errors with each setting. The settings of the study, `budget` [s],
+    `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers` and `progress`, and the errors raised,
+    are explained in :func:`run_trade`. All other keywords are parameters of the scene. `out` is the new folder
+    (default: runs/trade-NNN).
     """
     name, module = module_of(scene)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
@@ -74,11 +75,12 @@ def run_trade(
     workers: int | None = None,
     progress: Tell | None = None,
 ) -> Trade:
-    """Measure speed against accuracy of the scene `module.scene` with parameters `base`.
+    """Measure how the accuracy settings of the scene `module.scene` change its run time and its errors.
 
-    Results go to the new folder `out`. `budget` is the wall time [s]. `quantities` names the result quantities whose
-    errors are measured. `knobs` names the parameters that are varied because they trade accuracy for run time (default:
-    all that the scene has). `repeat` is the number of seeds of each setting (default 3, or 1 if nothing is random).
+    `base` holds the parameters of the scene. Results go to the new folder `out`. `budget` is the wall time [s].
+    `quantities` names the result quantities whose errors are measured. `knobs` names the parameters that are varied
+    because they trade accuracy for run time (default: all that the scene has). `repeat` is the number of seeds of each
+    setting (default 3, or 1 if nothing is random).
 
     With a `scheduler`, runs are distributed over the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. Each
     worker runs one simulation at a time, and no other worker uses its GPU or its `threads` cores (default 1). The

@@ -27,12 +27,18 @@ class BlockingComparison:
 
     @property
     def agrees(self) -> bool:
-        """True if the verdict agrees with the observation: a rule warns and the concrete blocked, or neither."""
+        """True if the rules agree with the observation.
+
+        This is the case if a rule warns and the concrete blocked, or if no rule warns and the concrete passed.
+        """
         return (self.verdict in BAD) == self.blocked
 
 
 def compare_blocking(case: Case, held_out: bool = False) -> BlockingComparison:
-    """Judge one concrete by the rules against blocking; raises :class:`SceneError` if its mix is refused."""
+    """Judge one concrete by the rules against blocking, and return the verdict next to the observation.
+
+    Raises :class:`SceneError` if the program refuses the mix.
+    """
     mix = mix_of_case(case)
     bore = amount("case test: bore", case.test.get("bore"), "m")
     verdicts = [each for each in blocking_rules(mix.given, bore) if each.verdict != "unknown"]

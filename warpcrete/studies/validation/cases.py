@@ -19,7 +19,7 @@ KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "sc
 values, `measured` lists one measured value for each of them."""
 BASES = ("measurement", "model", "guideline")
 """Possible origins of the value with which a prediction is compared: a measurement (the default), a model that was
-fitted to measurements, or a guideline that relates properties of concrete by experience."""
+fitted to measurements, or a guideline with empirical relations between properties of concrete."""
 SCATTER_KEYS = ("concretes", "from", "to")
 """Entries of a case's section `scatter`, which describes the concretes of which the measured value is the mean."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")

@@ -47,7 +47,10 @@ class Comparison:
 
 
 def compare(case: Case, held_out: bool = False) -> Comparison:
-    """Predict one case; raises :class:`SceneError` if the program refuses its inputs."""
+    """Predict the values of one case, and return them next to the measured values.
+
+    Raises :class:`SceneError` if the program refuses the inputs of the case.
+    """
     bands = PREDICTORS[case.kind](case)
     measured = np.array(case.measured)
     if case.kind == "line":

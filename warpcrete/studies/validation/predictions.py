@@ -25,7 +25,7 @@ but predictions of friction do not."""
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
-    """Return the mix of a case.
+    """Return the mix of a case, or the mix that `section` describes.
 
     If the publication states no density, the density is assumed to be 2400 kg/m3.
     """
@@ -172,7 +172,7 @@ def _spread(case: Case) -> list[Band]:
 
 FUNNEL = (0.0325, 0.2575), (0.15, 0.6), 0.075
 """Dimensions of the V-funnel of EN 12350-9 [m]: half widths at the outlet and at the brim, heights of the straight
-outlet and of the whole funnel, and distance of the parallel sides."""
+outlet and of the whole funnel, and distance between the parallel sides."""
 
 
 def _funnel(case: Case) -> list[Band]:
