@@ -19,7 +19,9 @@ def test_an_entry_of_another_kind_is_named(tmp_path, name):
     path = tmp_path / "scene.json"
     for record in ({name: 1.5}, {"command": {name: 1.5}}, {"cases": [{name: 1.5}]}):
         path.write_text(json.dumps(record), encoding="utf-8")
-        with pytest.raises(RunFolderError, match=f"is damaged: its entry '({name}|command|cases)' is "):
+        with pytest.raises(
+            RunFolderError, match=f"is damaged: its entry '({name}|command|cases)' has the wrong value "
+        ):
             read_record(path)
 
 
@@ -33,7 +35,7 @@ def test_an_entry_of_another_kind_is_named(tmp_path, name):
 )
 def test_entries_that_the_program_always_fills_in_are_never_null(tmp_path, file, record):
     (tmp_path / file).write_text(json.dumps(record), encoding="utf-8")
-    with pytest.raises(RunFolderError, match=r"is damaged: its entry '(threads|device)' is None"):
+    with pytest.raises(RunFolderError, match=r"is damaged: its entry '(threads|device)' has the wrong value None"):
         read_record(tmp_path / file)
     (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
     assert read_record(tmp_path / "study.json") == record
@@ -42,7 +44,7 @@ def test_entries_that_the_program_always_fills_in_are_never_null(tmp_path, file,
 def test_cases_and_commands_are_mappings(tmp_path):
     for record, entry in (({"cases": [3]}, "cases"), ({"command": None}, "command")):
         (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
-        with pytest.raises(RunFolderError, match=f"its entry '{entry}' is"):
+        with pytest.raises(RunFolderError, match=f"its entry '{entry}' has the wrong value"):
             read_record(tmp_path / "study.json")
     (tmp_path / "study.json").write_text(
         '{"scene": "slump", "cases": [{"name": "1"}], "command": {"threads": 2}}', encoding="utf-8"

@@ -103,7 +103,7 @@ def test_a_run_whose_scene_cannot_be_made_again_comes_back(ran, tmp_path):
     assert back["pressure"] == ran["pressure"] and back.scene.name == "channel" and "channel" in repr(back)
     record["scene"] = ["channel"]
     (moved / "scene.json").write_text(json.dumps(record), encoding="utf-8")
-    with pytest.raises(RunFolderError, match="is damaged: its entry 'scene' is"):
+    with pytest.raises(RunFolderError, match="is damaged: its entry 'scene' has the wrong value"):
         warpcrete.load(moved)
 
 

@@ -41,8 +41,9 @@ def chosen(
     source = trade or nearest_shipped(name, module, parameters, find_device(device).is_cuda)
     if source is None:
         raise click.UsageError(
-            f"accuracy = {accuracy!r}: needs --trade FOLDER, because warpcrete contains no trade of a similar "
-            f"scene {name}; create this folder with 'warpcrete trade {name} --budget 20min' and the same parameters"
+            f"accuracy = {accuracy!r}: needs --trade FOLDER, because warpcrete contains no measured trade-off "
+            f"for a similar scene {name}; create this folder with 'warpcrete trade {name} --budget 20min' and the same "
+            "parameters"
         )
     found = advise(source, name, module, parameters, part)
     quantities = " and ".join(found.quantities)

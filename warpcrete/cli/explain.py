@@ -19,7 +19,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     settings = single(options, ONE)
     fresh = options.pop("fresh", None)
     if fresh:
-        raise click.UsageError(f"--fresh = {' '.join(fresh)}: takes no value; leave out the text behind --fresh")
+        raise click.UsageError(f"--fresh = {' '.join(fresh)}: takes no value; leave out the text after --fresh")
     check_scene(scene, modules)
     values = parameter_values(modules[scene], options)
     for name, given in values.items():

@@ -103,8 +103,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         if needing := _options_that_need_a_flow(None if fit is not None else out, settings):
             beyond = "the fit" if fit is not None else "pressures at usual flows"
             raise click.UsageError(
-                f"flow: is missing; without a flow, the command prints only {beyond}; add it, as in --flow '30 m3/h', "
-                f"or leave out {' and '.join(needing)}"
+                f"flow: is missing; without a flow, the command prints only {beyond}; add a flow, as in --flow '30 "
+                f"m3/h', or leave out {' and '.join(needing)}"
             )
         if fit is None:
             said = [*_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]

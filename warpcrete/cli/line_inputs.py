@@ -148,7 +148,7 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
     entries: dict[str, Any] = {"density": DENSITY, **cones}
     if stone is not None:
         if stone < 2 * SMALLEST:
-            refuse("stone", stone, f"must be at least {2 * SMALLEST:g} m", "leave it out for mortar")
+            refuse("stone", stone, f"must be at least {2 * SMALLEST:g} m", "leave out --stone for mortar")
         entries["sizes"] = [SMALLEST, stone]
     return mix_of(entries, name=", ".join(f"{name} {value}" for name, value in cones.items()))
 

@@ -59,11 +59,11 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
             name = name.replace("_", "-")
             if name in FLAGS:
                 if given:
-                    raise click.UsageError(f"--{name}: takes no value; leave out the value behind it")
+                    raise click.UsageError(f"--{name}: takes no value; leave out the value after it")
                 options[name], current = [], None
                 continue
             if name in options:
-                raise click.UsageError(f"--{name}: is given twice; write --{name} once, with all values behind it")
+                raise click.UsageError(f"--{name}: is given twice; write --{name} once, with all values after it")
             current = options.setdefault(name, [value] if given else [])
         elif current is not None:
             current.append(word)
@@ -71,7 +71,7 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
             scene = word
         else:
             raise click.UsageError(
-                f"{word!r}: follows no option; write every value behind its option, as in --velocity 0.3 0.5"
+                f"{word!r}: follows no option; write every value after its option, as in --velocity 0.3 0.5"
             )
     return scene, options
 
@@ -131,7 +131,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
     for name in kinds.keys() & options.keys():
         values = options.pop(name)
         if len(values) != 1:
-            raise click.UsageError(f"--{name}: needs one value, but has {len(values)}; write one value behind --{name}")
+            raise click.UsageError(f"--{name}: needs one value, but has {len(values)}; write one value after --{name}")
         found[name] = converted(name, values[0], kinds[name])
     return found
 
@@ -145,7 +145,7 @@ def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
     for name in FLAGS:
         values = options.pop(name, None)
         if values:
-            raise click.UsageError(f"--{name}: takes no value; leave out the value behind it")
+            raise click.UsageError(f"--{name}: takes no value; leave out the value after it")
         settings[name] = values is not None
     settings |= single(options, SETTINGS)
     if settings.get("processes", 1) < 1:
@@ -252,11 +252,11 @@ def parameter_values(
             )
         kind = known[name].kind
         if negative and (words or kind is not bool):
-            raise click.UsageError(f"--{option}: takes no value; leave out the value behind it")
+            raise click.UsageError(f"--{option}: takes no value; leave out the value after it")
         if kind is bool:
             words = words or ["false" if negative else "true"]
         if not words:
-            raise click.UsageError(f"--{option}: needs one or more values; write the values behind it")
+            raise click.UsageError(f"--{option}: needs one or more values; write the values after it")
         if kind is float:
             found[name] = [quantity_of(word, known[name], option) for word in words]
         else:

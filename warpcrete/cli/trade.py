@@ -38,7 +38,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     lists = {name: options.pop(name) for name in SEVERAL if name in options}
     for name, values in lists.items():
         if not values:
-            raise click.UsageError(f"--{name}: needs one or more names; write the names behind it")
+            raise click.UsageError(f"--{name}: needs one or more names; write the names after it")
     anew = {name: settings.pop(name, None) for name in ON_WORKERS}
     anew["budget"] = seconds(settings.pop("budget", "20min"))
     with progress_bar(quiet) as tell:
@@ -50,8 +50,8 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
             for name, given in values.items():
                 if len(given) > 1:
                     raise click.UsageError(
-                        f"--{name} = {', '.join(map(str, given))}: must be a single value, because a trade varies only "
-                        "the settings that --knob names; give one value"
+                        f"--{name} = {', '.join(map(str, given))}: must be a single value, because 'warpcrete trade' "
+                        "varies only the settings that --knob names; give one value"
                     )
             trade = run_trade(
                 scene, modules[scene], base={name: given[0] for name, given in values.items()}, progress=tell,

@@ -82,7 +82,7 @@ class RerunRecorder(Recorder):
         if self.path is not None:
             if not self.path.is_file():
                 warnings.warn(
-                    f"'{self.path}': is missing; a new recording starts at this moment of the run", stacklevel=2
+                    f"'{self.path}': is missing; a new recording begins now, without the earlier frames", stacklevel=2
                 )
                 self.start(simulation)
                 return
@@ -92,7 +92,7 @@ class RerunRecorder(Recorder):
             if not simulation.at_end:
                 for number in range(1, state["parts"]):
                     if not (part := self._stream.part_path(number)).is_file():
-                        warnings.warn(f"'{part}': is missing; the recording lacks its frames", stacklevel=2)
+                        warnings.warn(f"'{part}': is missing; the recording lacks its part of the frames", stacklevel=2)
         display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         live = bool(self._stream.live)
         layout = self._blueprint(simulation, display) if live else None

@@ -54,7 +54,8 @@ class UsdRecorder(Recorder):
             layer = Sdf.Layer.OpenAsAnonymous(str(self.path))
         except Tf.ErrorException:
             warnings.warn(
-                f"'{self.path}': is missing or damaged; a new recording starts at this moment of the run", stacklevel=2
+                f"'{self.path}': is missing or damaged; a new recording begins now, without the earlier frames",
+                stacklevel=2,
             )
             self.start(simulation)
             return

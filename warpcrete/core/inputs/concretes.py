@@ -118,7 +118,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         if not is_dict(found):
             with errors_located_at(given, section):
                 problem = "must hold 'name: value' lines"
-                refuse(f"concrete {section}", found, problem, "indent them below the name of the section")
+                refuse(f"concrete {section}", found, problem, "indent these lines below the name of the section")
         sections[section] = dict(found)
     mix = (
         MixSection(given["mix"], path.parent, elements=sections["elements"], flow=sections["flow"])
