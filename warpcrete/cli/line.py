@@ -48,8 +48,8 @@ SHORTEST_REST = 120.0
 """Smallest value of `--rest` that is accepted without a unit [s]. A smaller number without a unit probably means
 minutes, because a stop of so few seconds hardly changes the pressure."""
 USUAL_FLOWS = {False: ("m3/h", (10, 20, 30, 45, 60)), True: ("yd3/h", (15, 25, 40, 60, 80))}
-"""Flows, with their unit, for which the pressure of a line is printed if the user states no flow. The key is True if
-the other amounts have customary US units."""
+"""Unit and values of the flows for which the pressure of a line is printed if the user states no flow. The entry under
+the key True is for users whose amounts have customary US units."""
 
 
 def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:

@@ -181,7 +181,7 @@ def warm_command(scene: tuple[str, ...], device: str | None) -> None:
 @click.option("--extremes", is_flag=True, help="Also run a matrix of scenes with extreme parameters")
 @click.option("--out", type=PATH, help="New folder for verification.md and verification.png")
 def verify(**settings: Any) -> None:
-    """Compare results with published and closed-form answers, in one table and one figure.
+    """Compare results with published values and closed-form solutions, in one table and one figure.
 
     The exit code is 1 if a result is wrong.
     """
@@ -233,8 +233,9 @@ def validate_command(**settings: Any) -> None:
 def reproduce_command(**settings: Any) -> None:
     """Repeat the runs of PAPER, zhan (discrete elements) or xu (flows), and compare the results with the paper's.
 
-    The report shows the paper's values next to the values of literal and calibrated runs, and judges each trend that
-    the paper reports. The exit code is 130 if the command was interrupted.
+    The report shows the paper's values next to the values of the runs, and judges each trend that the paper reports.
+    The runs of zhan use the concrete as printed in the paper and a calibrated concrete. The exit code is 130 if the
+    command was interrupted.
     """
     load("reproduce").run(**settings)
 
@@ -374,10 +375,11 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
-    # The command draws into files only. A backend that the environment names may be missing, and Matplotlib then fails.
+    # The command draws into files only. The environment may select a Matplotlib backend that is not installed, with
+    # which Matplotlib fails.
     os.environ["MPLBACKEND"] = "agg"
-    # Treat SIGTERM and the end of the terminal like Ctrl-C, so that the run saves its data before it ends. The command
-    # 'nohup' ignores SIGHUP, and this must stay so.
+    # Treat SIGTERM, and SIGHUP from a closed terminal, like Ctrl-C, so that the run saves its data before it ends. A
+    # process under 'nohup' ignores SIGHUP; it must continue to ignore this signal.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         signal.signal(signal.SIGHUP, signal.default_int_handler)

@@ -67,8 +67,8 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
     found: dict[str, object] = {"name": mix.name, "source": source}
     if mix.concrete.layer_law.name == BINGHAM or {"layer_yield", "layer_viscosity"} <= set(mix.elements):
         with warnings.catch_warnings():
-            # Do not repeat the warnings that were shown when the mix was read. A remark already says that the sieve
-            # curve is missing.
+            # Ignore warnings: those about the mix were shown when the mix was read, and a remark in the output already
+            # says that the sieve curve is missing.
             warnings.simplefilter("ignore", PlausibilityWarning)
             found["elements"] = dict(PipeParameters.implied({"concrete": name}))
     return found | {"flow": {key: getattr(mix.concrete, key) for key in mix.flow}}

@@ -36,7 +36,7 @@ class AmountOption(click.ParamType):
         self.unit = unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the option's value as a number in its unit; :class:`SceneError` refuses any other text."""
+        """Return the option's value as a number in its unit; raises :class:`SceneError` for any other text."""
         return amount(str(param.name) if param is not None else "option", value, self.unit)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:

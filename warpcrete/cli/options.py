@@ -95,7 +95,7 @@ def quantity_of(value: Any, field: Field, called: str) -> float:
 
 
 class Word(click.ParamType):
-    """Option type of a text; the shell completes its usual values, and paths of files if it may be a path."""
+    """Option type of a text; the shell completes its usual values, and paths of files if the text may be a path."""
 
     name = "text"
 
@@ -144,7 +144,7 @@ def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") ->
 
 
 def run_options() -> list[click.Parameter]:
-    """Return the options that every run of a scene has, whatever the scene."""
+    """Return the options that the runs of all scenes have."""
     colourings = list(dict.fromkeys(colour for method in METHODS for colour in method.display.colourings))
     return [
         click.Option(["--out"], type=click.Path(path_type=Path), help="New run folder  [default: runs/SCENE-NNN]"),

@@ -140,8 +140,9 @@ def run(
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
     """Check the options for the pressure of a whole pipeline, and return the result of the run that they refer to.
 
-    The option `pipeline_other` names the folder of an earlier run of a straight pipe in the other direction, vertical
-    or horizontal. The return value is the contents of result.json in that folder, or None without the option.
+    The option `pipeline_other` names the folder of an earlier run of a straight pipe: a vertical pipe if this run's
+    pipe is horizontal, or a horizontal pipe if it is vertical. The return value is the contents of result.json in that
+    folder, or None without the option.
     """
     lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
     for field, value in lengths.items():

@@ -233,7 +233,7 @@ def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]
 def parameter_values(
     module: Any, options: dict[str, list[str]], settings: tuple[str, ...] = ()
 ) -> dict[str, list[Any]]:
-    """Convert the words in `options` to values of the scene's parameters, and return these lists of values by name.
+    """Convert the words in `options` to values of the scene's parameters; return a list of values by parameter name.
 
     If `options` names an unknown parameter, the error message may suggest a parameter, or one of the command's other
     options, whose names are in `settings`.

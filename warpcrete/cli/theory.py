@@ -48,7 +48,10 @@ def rise_option() -> ParameterOption:
 
 
 def _rise(stated: str, length: float) -> float:
-    """Return the rise per length of a pipe from the text `stated` of the option `--rise`; `length` is in metres."""
+    """Return the rise per length of a pipe from the text `stated` of the option `--rise`.
+
+    `length` is the length of the pipe [m].
+    """
     field = declared_fields(Line)["rise"]
     if bare_number(stated) or is_amount(stated, "1"):
         value = field.converted(amount("rise", stated, "1"), "rise")

@@ -1,4 +1,4 @@
-"""Command `warpcrete validate`: blind predictions next to measurements."""
+"""Command `warpcrete validate`: comparison of blind predictions with measurements."""
 
 from pathlib import Path
 

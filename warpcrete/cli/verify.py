@@ -1,4 +1,4 @@
-"""Command `warpcrete verify`: comparison of results with published and closed-form answers."""
+"""Command `warpcrete verify`: comparison of results with published values and closed-form solutions."""
 
 from pathlib import Path
 

@@ -91,7 +91,7 @@ class ConvergenceError(InstabilityError):
         self.maximum = maximum
 
     def __reduce__(self):
-        # Processes of a study exchange errors as pickles. By default, unpickling would pass the message alone to the
+        # Processes of a study exchange errors as pickles. By default, unpickling would pass only the message to the
         # constructor, which needs all arguments.
         return type(self), (self.time, self.what, self.iterations, self.history, self.residual, self.maximum)
 
@@ -101,8 +101,8 @@ class CapacityError(WarpcreteError):
 
 
 NOT_THE_USERS = ("warpcrete", "contextlib", "functools", "dataclasses")
-"""Packages whose lines are skipped when Python looks for the line of code that a warning names, so that the warning
-names the user's line."""
+"""Packages whose code a warning never names as its origin. The warning names the line of the user's program from which
+these packages were called."""
 
 
 class PlausibilityWarning(UserWarning):
@@ -153,12 +153,12 @@ def warn_in_one_line() -> None:
 
 
 def at_least(value: float, digits: int = 3) -> str:
-    """Return the lower limit `value` as text with `digits` digits, rounded up so that the text is allowed, too."""
+    """Return the lower limit `value` as text with `digits` digits, rounded up to a number that the limit allows."""
     return _rounded(value, digits, ROUND_CEILING)
 
 
 def at_most(value: float, digits: int = 3) -> str:
-    """Return the upper limit `value` as text with `digits` digits, rounded down so that the text is allowed, too."""
+    """Return the upper limit `value` as text with `digits` digits, rounded down to a number that the limit allows."""
     return _rounded(value, digits, ROUND_FLOOR)
 
 

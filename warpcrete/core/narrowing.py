@@ -1,6 +1,6 @@
 """Functions that check the type of a value, so that type checkers know the type afterwards.
 
-The types of the elements of lists and mappings remain open.
+The functions do not check the types of the elements of lists and mappings.
 """
 
 from __future__ import annotations

@@ -273,8 +273,8 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
     for stated in ("factor", "equivalent"):
-        # Each of these entries states the whole friction of the hose, which already contains the effect of the slip
-        # layer.
+        # Refuse the entry `layer` of a hose together with these entries, because they state the hose's total friction,
+        # which already contains the effect of its slip layer.
         _refuse_both(field, said, stated, "layer")
     if "factor" in said:
         factor = get("factor", "1")

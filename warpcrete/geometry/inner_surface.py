@@ -233,7 +233,7 @@ class InnerSurface:
                    "from its start", "fill the undercut in a CAD program")  # fmt: skip
 
     def _visible_facets(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Return the indices of the facets of the inner surface: visible from the axis and not part of a lid."""
+        """Return the indices of the facets that are visible from the axis and not part of a lid: the inner surface."""
         corners = vertices[faces]
         middles = corners.mean(axis=1)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -14,10 +14,9 @@ AROUND = 36
 ADVANCE = 0.25
 """Distance between neighbouring cross-sections of a bore, divided by the bore's radius."""
 MIN_END_STEP = 1 / 256
-"""Accuracy of the search for the last cross-section before the end of a bore.
+"""Accuracy with which the search finds the last closed cross-section of a bore, divided by the bore's radius.
 
-The search halves its step as it approaches the end. It stops when the step is at most a quarter of this number times
-the bore's radius.
+The search halves its step as it approaches the end, and stops when the step is at most a quarter of the accuracy.
 """
 MIN_ADVANCE = ADVANCE / 16
 """Smallest distance between neighbouring cross-sections in the search along a bore, divided by the bore's radius. A

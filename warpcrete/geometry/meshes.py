@@ -28,8 +28,8 @@ FAN_ROTATION, RETRY_ROTATION = 0.382, 0.1
 first rotation, which keeps the rays away from the edges of regular tubes. If a ray meets no wall, the fan is turned
 further by the second rotation and tried again."""
 ROUNDNESS_TOLERANCE = 0.01
-"""Largest difference between the radius of a cylinder and the distances from the axis to a bore's wall with which the
-bore counts as cylindrical, as a fraction of the cylinder's radius."""
+"""Largest difference between the radius of a cylinder and the distance of a bore's wall from the axis at which the bore
+still counts as cylindrical, as a fraction of the cylinder's radius."""
 MAX_FACES = 500_000
 """Largest accepted number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
 MAX_EXTENT = 1e4

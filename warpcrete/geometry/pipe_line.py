@@ -12,7 +12,7 @@ from .mesh_bores import MeshBore
 from .pumps import Pump
 
 BLOCKING_RATIO = 3.0
-"""Smallest ratio of pipe diameter to the diameter of the largest stone with which a pipe does not block. ACI 304.2R
+"""Ratio of a pipe's diameter to the diameter of the largest stone below which the pipe is known to block. ACI 304.2R
 requires 3 for crushed stone."""
 
 

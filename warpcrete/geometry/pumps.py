@@ -34,7 +34,7 @@ class Pump:
 
 
 def pump_of(given: Any) -> Pump:
-    """Read a pump from a pressure, or from a mapping with the keys :data:`PUMP`.
+    """Return the pump that the entry `given` describes: its pressure, or a mapping with the keys :data:`PUMP`.
 
     Raises :class:`SceneError` for a wrong key or value, or if there is no pressure.
     """

@@ -108,8 +108,7 @@ def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) 
     """Return an adjacency list for each of the `count` corners of a mesh.
 
     A list contains the lowest index of the faces at the corner, followed by the corners at the other ends of the
-    `edges` at this corner. The index `first_corner` of the mesh's first corner is added to all corners, but not to the
-    face.
+    `edges` at this corner. In the lists, corners are numbered from `first_corner`, and faces from 0.
     """
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))

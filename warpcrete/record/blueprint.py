@@ -180,7 +180,7 @@ def _on_screen(display: Display) -> np.ndarray:
 
 
 def spheres_behind_cut(display: Display) -> np.ndarray | None:
-    """Return whether each sphere lies behind the cutting plane, as booleans of shape (n,).
+    """Return whether each sphere lies behind the cutting plane, as seen from the camera, as booleans of shape (n,).
 
     The result is None if there is no such plane, or if all spheres lie on one side of it.
     """

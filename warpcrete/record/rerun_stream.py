@@ -1,4 +1,4 @@
-"""Stream of a Rerun recording to a file in parts and to a viewer, with limits for the time that either may take."""
+"""Stream of a Rerun recording to a file in parts and to a viewer, with time limits for writing to each of them."""
 
 import atexit
 import importlib
@@ -124,7 +124,8 @@ class RerunStream:
         except BaseException:
             self.disconnect(POLL_INTERVAL)
             raise
-        # If the viewer has disconnected, closing takes longer: Rerun first waits for the viewer, then closes the file.
+        # If the viewer has disconnected, closing takes longer, because Rerun waits for the viewer before it closes the
+        # file.
         if not self.disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
             raise self.error(RuntimeError("Rerun's writer did not finish in time"))
 

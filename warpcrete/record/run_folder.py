@@ -95,8 +95,8 @@ class TableRecorder(Recorder):
     def abandon(self, simulation: SimulationBase) -> None:
         """Release the folder, and remove it if this recorder created it.
 
-        The folder is kept if it has a checkpoint, or if the run became unstable before its first row. Its result.json
-        then says why the run ended.
+        The folder is kept if it has a checkpoint, or if the run became unstable before its first row. The file
+        result.json then says why the run ended.
         """
         has_checkpoint = (self.folder / "checkpoint.npz").exists()
         ending = simulation.ending

@@ -29,7 +29,7 @@ class Stepped(Protocol):
 
 
 class SimulationOnDevice:
-    """Base class of simulations with the attributes that modules imported by the run loop use."""
+    """Base class of simulations, with the attributes that are used by modules which the run loop imports."""
 
     device: wp.Device
     """Warp device of the run."""

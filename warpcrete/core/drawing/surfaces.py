@@ -207,8 +207,8 @@ class _Net:
         corners = cells.shape[1]
         number = self._numbered(cells)
         flat = number[cells.ravel()]
-        # In a cell where the free surface meets a side of the grid or a cutting plane, the points on the free surface
-        # alone determine the vertex. The vertex is then moved onto the side or plane, so that the edge is sharp.
+        # In a cell where the free surface meets a side of the grid or a cutting plane, the vertex is the mean of the
+        # points on the free surface only. It is then moved onto the side or plane, so that the edge is sharp.
         weight = np.where(free, 1.0, PLANE_WEIGHT)
         count = np.bincount(flat, np.repeat(weight, corners), self._count)
 
@@ -241,10 +241,11 @@ class _Net:
     def _crossings(self, axis: int) -> tuple[np.ndarray, ...]:
         """Return the grid edges along one axis that cross the surface: one end is in the concrete, the other is not.
 
-        With a cut, only concrete behind the cutting plane counts. The results, for m edges in d dimensions, are:
+        With a cut, only concrete on the side of the cutting plane's normal counts. The results, for m edges in d
+        dimensions, are:
 
         - the indices of the grid cells around each edge, in the order of the corners of a side, shape (m, 2 or 4),
-        - the point of the edge at which the level, or the depth behind the cut, is zero, shape (m, d),
+        - the point of the edge at which the level, or the distance from the cutting plane, is zero, shape (m, d),
         - the index of the end node that lies in concrete, shape (m,),
         - whether the edge crosses the free surface inside the grid, shape (m,),
         - whether the edge crosses the cut, shape (m,).
@@ -272,7 +273,7 @@ class _Net:
         return cells, points, inner, free, by_cut
 
     def _around(self, axis: int) -> np.ndarray:
-        """Return the index offsets from a node to the cells around the grid edge that begins there along `axis`."""
+        """Return the index offsets from a node to the cells around the grid edge from this node along `axis`."""
         found = np.zeros((2 ** (self._axes - 1), self._axes), int)
         if self._axes == 2:
             found[0, 1 - axis] = -1

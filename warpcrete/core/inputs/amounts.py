@@ -265,8 +265,8 @@ OTHER_QUANTITIES = {
     "m3/s": ("m/s", "this is a velocity; multiply it by the area of the bore, 0.785 times its diameter squared"),
     "m/s": ("m3/s", "this is a flow; divide it by the area of the bore, 0.785 times its diameter squared"),
 }
-"""Units of quantities that users may confuse with another quantity. Each value is the unit of the other quantity and
-the advice for users who wrote it."""
+"""Advice for users who wrote the unit of another quantity by mistake. The key is the required unit; the value is a pair
+of the wrong unit and the advice."""
 
 
 def _advice(text: str, unit: str) -> str:

@@ -64,7 +64,10 @@ def changed_files(files: Mapping[str, str]) -> list[str]:
 
 
 def check_files(where: Path, files: Mapping[str, str]) -> None:
-    """Raise :class:`RunFolderError` if an input file of a scene changed after the record `where` was written."""
+    """Raise :class:`RunFolderError` if an input file of a scene changed after the file `where` was written.
+
+    `where` is the record of the scene. `files` maps the path of each input file to its SHA-256 in the record.
+    """
     if changed := changed_files(files):
         gone = not Path(changed[0]).is_file()
         raise RunFolderError(

@@ -54,7 +54,7 @@ class SceneFunction(Generic[P, S]):
     def __init__(self, parameters: type[Declared], build: Callable[[Any], S]) -> None:
         self.parameters, self._build = parameters, build
         self.description = inspect.getdoc(build) or ""
-        # The API reference links roles such as :class:`Run`; `help` and editors would show them as they are.
+        # Replace Sphinx roles such as :class:`Run`, because `help` and editors would show them unchanged.
         text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", self.description)
         self.__doc__ = f"{text}\n\n{_listed(declared_fields(parameters).values())}"
         self.__name__ = self.__qualname__ = self.name.replace("-", "_")
@@ -68,7 +68,7 @@ class SceneFunction(Generic[P, S]):
         )
 
     def __get__(self, instance: object, owner: type | None = None) -> SceneFunction[P, S]:
-        # With this method, `help` and documentation tools treat a scene function as a function and show its signature.
+        # Objects with this method are descriptors, which `help` and documentation tools show like functions.
         return self
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Checkpoint files, which hold the complete state of a run; an interrupted write never leaves half a file."""
+"""Checkpoint files, which hold the complete state of a run; an interrupted write never leaves an incomplete file."""
 
 import hashlib
 import json

@@ -60,7 +60,7 @@ def cannot_write(path: Path, error: Exception) -> RunFolderError:
 
 
 def space_error(folder: Path, needed: int = 0) -> OSError | None:
-    """Return the system's error if a folder has no space for a small file or for `needed` bytes; None if it has."""
+    """Return the system's error if a folder lacks space for a small file or for `needed` bytes, otherwise None."""
     probe = partial_of(folder / "probe")
     try:
         with probe.open("wb") as file:

@@ -165,9 +165,9 @@ class Method:
 def run_in_turn(
     simulations: Sequence[Simulation], checkpoints: Sequence[Path | None], progress: Progress
 ) -> list[Run | BaseException]:
-    """Run simulations one after the other, each from its checkpoint if it has one.
+    """Run simulations one after the other, each from its file in `checkpoints`, if it has one.
 
-    Return a run or an error for each simulation.
+    Return a run or an error for each simulation. `progress` is called with the name of a phase and the fraction done.
     """
     outcomes: list[Run | BaseException] = []
     for done, (simulation, checkpoint) in enumerate(zip(simulations, checkpoints)):

@@ -93,7 +93,8 @@ class ProgressBar:
         before, interrupted = self._phase, self._interrupted
         self.close()
         if name == "compiling" and before is not None:
-            # The first call comes only after some kernels are compiled, so compiling began after the call before it.
+            # The first call with the phase "compiling" comes only after some kernels are compiled. Compiling began soon
+            # after the last call with the previous phase, so count its time from that call.
             self._interrupted, fraction, now = before, 0.0, before.called
         if interrupted is not None and interrupted.name == name:
             interrupted.skip_pause(now)

@@ -56,7 +56,8 @@ def processor() -> str:
 def processor_features() -> str:
     """Return a short hash of the CPU's features, or an empty text if the system does not list them.
 
-    Different models may share one name, for example in a virtual machine. Warp compiles CPU kernels for these features.
+    Different CPU models may share one name, for example in a virtual machine. Warp compiles CPU kernels for these
+    features.
     """
     features = _cpu_entry("flags") or _cpu_entry("Features")  # On ARM, Linux lists the features under "Features".
     return hashlib.sha256(" ".join(sorted(features.split())).encode()).hexdigest()[:16] if features else ""

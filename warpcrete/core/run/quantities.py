@@ -12,7 +12,8 @@ from ..narrowing import is_dict
 from ..units import number
 
 _conditions: dict[type, Callable[[], Mapping[str, str]]] = {}
-"""Functions that return a method's conditions, by the type of its scenes; see :func:`conditions_of`."""
+"""Functions that return the conditions under which runs have certain quantities. The key is the type of the scene; see
+:func:`conditions_of`."""
 
 
 def declare_conditions(scene_type: type, conditions: Callable[[], Mapping[str, str]]) -> None:

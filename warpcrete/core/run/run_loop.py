@@ -89,8 +89,8 @@ class Simulation(CheckpointedSimulation):
             positive("frame_interval", frame_interval, "s")
         if out is not None:
             self._use_folder(output_of(out))
-        # The run stops between samples for frames only if `recorders` is not empty, so these additional recorders of a
-        # run without a folder take no time between samples.
+        # Keep these recorders of a run without a folder apart from `recorders`: the run stops between samples to record
+        # frames only if `recorders` is not empty.
         self._more_recorders = [] if out is not None else list(recorders_without_folder(self))
         self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling
@@ -329,7 +329,7 @@ class Simulation(CheckpointedSimulation):
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
             # The checkpoint was written after the last step, so no step is left. Call `ended_early` nevertheless,
-            # because it also notes facts for the results, for example that the flow is steady.
+            # because it also stores properties of the run for the results, for example that the flow is steady.
             self.ended_early()
             return True
         if not self.rows:

@@ -144,7 +144,7 @@ class SimulationBase(SimulationOnDevice):
 
     @property
     def may_end_early(self) -> bool:
-        """True if the run may end before its maximum duration, so that its remaining time is only an upper limit."""
+        """True if the run may end before its maximum duration, so that the remaining time is only an upper limit."""
         return False
 
     def ended_early(self) -> bool:
