@@ -62,7 +62,7 @@ def flow_struct(scalar):
 
         # Fraction of the density error (relative excess of a particle's density sum) that one step removes.
         correction: scalar
-        skin: scalar  # Skin of the neighbour lists: distance by which they reach beyond the operators and weights [m].
+        skin: scalar  # Distance by which neighbour lists extend beyond the reach of the weights (skin) [m].
 
     return FlowConstants
 
@@ -185,8 +185,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the coarse matrix, shape (count,).
 
-        # Sum of the matrix coefficients of each particle with the particles of its own cube of the coarse grid, and of
-        # each adjacent cube, shape (3^d * n,); GPU only.
+        # Sum of a particle's matrix coefficients with all particles of one cube of the coarse grid. Each particle has
+        # 3^d sums: one for its own cube and one for each adjacent cube. Shape (3^d * n,); GPU only.
         pair: wp.array(dtype=scalar)
 
     @wp.struct

@@ -27,7 +27,8 @@ from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 # Skin of the neighbour lists, in particle spacings: the lists contain all pairs up to the range of the differential
 # operators plus this skin. Positions are relative to the piston and change slowly, so lists last about eighty steps.
 SKIN = 0.1
-# Fraction of the density error, the relative excess of each particle's density sum, that one step removes.
+# Fraction of the density error that one step removes. The density error is the relative excess of a particle's density
+# sum.
 CORRECTION = 0.2
 HISTORY = 256  # Maximum number of iterations whose residuals a solve stores.
 

@@ -38,7 +38,7 @@ GATE = wp.constant(3)  # Value of `solid` in cells inside the gate, a wall that 
 
 AIR = wp.constant(0)  # Kind of a face without concrete on either side.
 
-# LIQUID is the kind of a face with concrete on at least one side, which can flow through it. Its velocity is unknown.
+# LIQUID is the kind of a face through which concrete on at least one of its sides can flow. Its velocity is an unknown.
 LIQUID = wp.constant(1)
 FIXED = wp.constant(2)  # Kind of a face that is the side of a wall; its velocity is the wall's velocity normal to it.
 INSIDE = wp.constant(3)  # Kind of a face inside a wall, unless its velocity is an unknown (see GHOST).

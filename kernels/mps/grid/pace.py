@@ -197,8 +197,8 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
         If `first` is true, the error is not used, because it is not known in the first step.
         """
         dt = clock[DT]
-        # Limit the growth of the time step relative to the step that was wanted before. The actual length of the
-        # previous step may be shorter, because a step is cut short to end at a given time.
+        # Limit the growth of the time step relative to the length that was allowed for the previous step. The actual
+        # length of that step may be shorter, because a step is cut short to end at a given time.
         longest = LONGER * clock[WANTED]
         longer = longest
         if not first:

@@ -62,9 +62,8 @@ def flow_forecast(
         return simulation
 
     scene = (loading := begun()).scene
-    # Time several steps together. Their number is limited, so that they do not span more than the interval between two
-    # measurements of the flow.
-    # Slow steps are timed one by one, so that the forecast itself stays short.
+    # Time several steps together, but no more steps than a run takes between two measurements of the flow. Time slow
+    # steps one by one, so that the forecast itself stays short.
     loading.flow.take(1)  # The first step loads the kernels. It is taken here, so that the loading is not timed.
     count = max(1, min(round(scene.sample_interval / scene.time_step), _steps_at_once(loading.flow)))
     loading.flow.take(count)

@@ -83,8 +83,6 @@ class GridStep:
             *self._alone(flow.clock_kernels.tick, 1),
         ]  # fmt: skip
 
-    # The following methods make stages from a kernel.
-
     def gather(self) -> list[Any]:
         """Return the stages that sort particles into cells and transfer their mass and velocity to the grid."""
         flow, kind, scalar, serial = self.flow, self.kind, self.scalar, not self.flow.parallel
@@ -101,6 +99,8 @@ class GridStep:
             *([] if flow.full else self._cells(fill_kernel(scalar, serial, kind))),
             *self._cells(gather_kernel(scalar, serial, kind)),
         ]  # fmt: skip
+
+    # The following methods make stages from a kernel.
 
     def _shared(self, kernel: Any, count: int, **named: Any) -> list[Stage]:
         """Return stages in which the threads share the `count` items of a kernel, and then wait for one another."""
