@@ -18,7 +18,7 @@ def axis_functions(scalar):
 
     @wp.struct
     class Segment:
-        kind: wp.int32  # LINE or ARC.
+        kind: wp.int32  # Kind of the segment: LINE or ARC.
         start: t.vec3  # First point of the segment [m].
         tangent: t.vec3  # Unit tangent at the segment's first point.
         outward: t.vec3  # Unit vector from an arc's centre to its first point; unused for lines.

@@ -109,8 +109,8 @@ def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
     ):  # fmt: skip
         """Set position and velocity of sphere i from the motion of its body.
 
-        The arguments from `x` on describe the position and motion of the body. The last one, `size`, is the current
-        scale factor of the body's size.
+        The arguments from `x` to `mass` describe the position and motion of the body. `size` is the current scale
+        factor of the body's size.
         """
         offset = read_vec4(spheres.offset, i)
         arm = wp.quat_rotate(orientation, xyz(offset)) * size

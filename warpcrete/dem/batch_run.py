@@ -108,9 +108,10 @@ def _run_batch(
 def _share_rounds(parts: Sequence[_BatchMember]) -> None:
     """Tell each batch with sub-cycled bonds how many such batches run on the GPU at the same time.
 
-    Sub-cycled bonds are stiff bonds that are integrated with several shorter steps within each time step. The kernel
-    for these shorter steps synchronises its thread blocks at barriers, so all blocks of all these batches must be
-    resident on the GPU at once. Each batch therefore launches only its share of the blocks that fit.
+    `parts` contains all batches that run at the same time. Sub-cycled bonds are stiff bonds that are integrated with
+    several shorter steps within each time step. The kernel for these shorter steps synchronises its thread blocks at
+    barriers, so all blocks of all these batches must be resident on the GPU at once. Each batch therefore launches only
+    its share of the blocks that fit.
     """
     batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
     several = [batch for batch in batches if batch.features.subcycling]
@@ -237,7 +238,7 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
 
     The dictionary's keys are results of :func:`_packing_key`. Each value is the packing's result from :func:`pack_many`
     and the wall time of one packing [s]. The wall time is the mean over all packings with the same device, precision
-    and number of threads.
+    and number of threads. `tell` is called with the completed fraction of the work.
     """
     needed = {_packing_key(s): s for s in simulations if s.scene.fill is not None}
     kinds: dict[tuple, list[tuple]] = {}
@@ -265,13 +266,14 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
 def _split_by_memory(
     simulations: Sequence[ElementSimulation], packings_by_number: dict[int, tuple[Any, float]], numbers: list[int]
 ) -> list[tuple[list[int], float]]:
-    """Split simulations into batches that fit the device's memory.
+    """Split the simulations with the indices `numbers` into batches that fit the device's memory.
 
-    Returns, for each batch, the indices of its simulations and the memory that they need [B].
+    `packings_by_number` maps the index of a simulation to its packing and the wall time of this packing. Returns, for
+    each batch, the indices of its simulations and the memory that they need [B].
     """
     first = simulations[numbers[0]]
     if not parallel(first.device) and first.threads > 1:
-        # A simulation on several CPU threads runs in a batch of its own.
+        # Give each simulation a separate batch, because a batch of several simulations runs on a single CPU thread.
         return [([number], 0.0) for number in numbers]
     room = MEMORY_FRACTION * memory_free(first.device)
     parts: list[tuple[list[int], float]] = []
@@ -292,7 +294,8 @@ def _turns(
 ) -> list[list[tuple[list[int], float]]]:
     """Group the batches: the batches of one group run at the same time, and the groups run one after the other.
 
-    On a GPU, a group contains as many batches as fit into the memory. On a CPU, every group contains one batch.
+    `parts` contains, for each batch, the indices of its simulations and the memory that they need [B]. On a GPU, a
+    group contains as many batches as fit into the memory. On a CPU, every group contains one batch.
     """
     turns: list[list[tuple[list[int], float]]] = []
     used = 0.0

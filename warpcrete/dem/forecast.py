@@ -210,8 +210,9 @@ class _ShortenedCopy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # The measured time includes list rebuilds, so subtract their time. Other programs may have slowed down the
-            # measurement of a rebuild, so that its time is too long. Make sure that a step still gets a positive time.
+            # The measured time includes list rebuilds, so subtract their time. The time of a rebuild may have been
+            # measured too long, because other programs slowed it down. Make sure that a step still gets a positive
+            # time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
@@ -347,9 +348,10 @@ class _ShortenedCopy:
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
-    """Return bodies for a long pipe, made by repeating the bodies in the first `period` [m] along its `axis`.
+    """Return bodies for a long pipe, made by repeating the bodies of `table` along the pipe's `axis`.
 
-    The copies fill the pipe up to the arc length `length` [m].
+    The bodies of `table` fill the first `period` [m] of the axis. Their copies fill the pipe up to the arc length
+    `length` [m].
     """
     # Copies of a body keep the body's offset from the axis in the axis' local frame (tangent, normal, binormal), so
     # that the copied packing follows bends.

@@ -74,7 +74,8 @@ def draw(
 ) -> BodyTable:
     """Return aggregates at evenly spread points, with a total volume of `fraction` times the container's volume.
 
-    Raises :class:`CapacityError` if the container would contain too many aggregates.
+    `fill` describes sizes, shapes and density of the aggregates. Raises :class:`CapacityError` if the container would
+    contain too many aggregates.
     """
     wanted = fraction * container.volume
     expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
@@ -150,7 +151,8 @@ def pack_many(
 ) -> list[Any]:
     """Pack many containers independently of each other, on a GPU in common batches.
 
-    Returns one result for each request: (bodies, report) as from :func:`pack`, or the error that the packing raised.
+    Returns one result for each of the `requests`: (bodies, report) as from :func:`pack`, or the error that the packing
+    raised. `progress` is called with the completed fraction of the work.
     """
     device = find_device(device) if device is None or isinstance(device, str) else device
     tell = progress or (lambda done: None)
@@ -248,7 +250,10 @@ class _Growth:
         self.rate = (1.0 - start) / GROWTH_STEPS
 
     def growing(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
-        """Return a coroutine that grows the aggregates, lets them come to rest, and returns bodies and report."""
+        """Return a coroutine that grows the aggregates, lets them come to rest, and returns bodies and report.
+
+        The coroutine calls `tell` with the completed fraction of the work.
+        """
         try:
             yield from self._grow(stepper, lambda done: tell(0.6 * done))
             yield from self._rest(stepper, lambda done: tell(0.6 + 0.4 * done))
@@ -283,7 +288,7 @@ class _Growth:
         pressure."""
         pressure = self.fill.pressure
         looks_on_target, least, was_too_low = 0, 1e-3, None
-        # `looks_off_target` counts consecutive evaluations at which the pressure was off target in the same direction.
+        # Number of consecutive evaluations at which the pressure was off target in the same direction.
         gain, looks_off_target = 1.0, 0
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):

@@ -233,8 +233,8 @@ class ElementSimulation(Simulation):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the simulation from a checkpoint that :meth:`state_dict` returned, so that the run can continue.
 
-        The simulation does not share its batch with other scenes. If the checkpoint was saved while the concrete
-        settled, the settling is completed.
+        The method creates a batch for this simulation alone. If the checkpoint was saved while the concrete settled,
+        the settling is completed.
         """
         self.restore(state)
         stepper = Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"])
@@ -270,7 +270,7 @@ class ElementSimulation(Simulation):
     def release(self) -> None:
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        # A simulation that failed early lacks some of the attributes in this list.
+        # If the simulation failed early, some of these attributes do not exist.
         for name in ("state", "stepper", "sampler", "watch", "blockage"):
             self.__dict__.pop(name, None)
 
@@ -298,7 +298,7 @@ class ElementSimulation(Simulation):
     def running(self) -> Coroutine:
         """Run to the end, as in the base class, and then warn if the time step was too coarse."""
         run: Run = yield from super().running()
-        # All results have been written, so none is lost if the user turns warnings into errors.
+        # Warn after all results have been written, so that none is lost if the user turns warnings into errors.
         if run.finished and self._ended_run is None:
             warn_of_coarse_step(run)
         return run

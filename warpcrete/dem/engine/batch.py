@@ -363,7 +363,8 @@ class Batch(JointArrays):
         return merge_thread_stages(self._step)
 
     def launch_chunks(self, stages: list[Stage]) -> None:
-        """Launch one kernel once for each range (chunk) of bodies, each launch on its own CPU thread."""
+        """Launch `stages`: each stage is one kernel launch for a range (chunk) of bodies and runs on its own CPU
+        thread."""
         self._launcher.apart(stages)
 
     def sync_stages(self) -> list[Stage]:

@@ -283,7 +283,7 @@ class JointArrays:
     def set(self, s: int, **numbers: float) -> None:
         """Change parameters of scene `s` on host and device.
 
-        The keywords are field names of the struct `SceneRow`.
+        `numbers` maps field names of the struct `SceneRow` to new values.
         """
         # Return early if nothing changes, because steppers often set values that are already set.
         if numbers.items() <= self._settings[s].items():

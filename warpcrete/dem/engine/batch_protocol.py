@@ -49,7 +49,10 @@ class SceneBatch(BatchArrays, Protocol):
         self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,
         every: int = 1, block: int | None = None, **named: object,
     ) -> Stage:  # fmt: skip
-        """Return a recorded launch of `kernel` over `dim` tasks; `named` gives arguments by parameter name."""
+        """Return a recorded launch of `kernel` over `dim` tasks; `named` gives arguments by parameter name.
+
+        :class:`Stage` describes the remaining options.
+        """
         ...
 
     def barrier(self) -> list[Stage]:

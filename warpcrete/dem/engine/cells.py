@@ -84,8 +84,8 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        # Along each axis, a block contains the cells from index `low` to index `high`. One more, empty cell separates
-        # the blocks of two scenes.
+        # Along each axis, a block contains the cells from index `low` to index `high`, and one additional empty cell
+        # that separates the block from the next scene's block.
         sizes = high - low + 2
         # Place the blocks of all scenes side by side along one axis. Choose the axis along which the longest block has
         # the fewest cells.

@@ -101,7 +101,7 @@ def memory_of_batch(stepper: SceneStepper) -> int:
 
 
 def check_memory(model: Model, table: BodyTable) -> None:
-    """Raise :class:`CapacityError` if the bodies do not fit into the device's free memory."""
+    """Raise :class:`CapacityError` if the bodies in `table` do not fit into the device's free memory."""
     needed, free = memory_needed(model, table), memory_free(model.device)
     if needed > MEMORY_FRACTION * free:
         fitting = int(len(table) * MEMORY_FRACTION * free / needed)

@@ -258,7 +258,10 @@ class _Axes:
 def _wall_rows(
     walls: Sequence[Wall], materials: Sequence[str], axes: _Axes, scalar: Scalar, device: wp.Device
 ) -> tuple[DeviceArray, tuple[wp.Mesh, ...]]:
-    """Return the properties of all walls as an array on the device, and the ``wp.Mesh`` objects of the mesh walls."""
+    """Return the properties of all walls as an array on the device, and the ``wp.Mesh`` objects of the mesh walls.
+
+    The segments of pipe axes are appended to `axes`. A wall stores the index of its material in `materials`.
+    """
     WallRow: Struct = wall_struct(scalar)
     rows: list[object] = []
     kept: list[wp.Mesh] = []
@@ -281,7 +284,8 @@ def _wall_rows(
 def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
     """Return the pipe axis along which a force drives each body group, and the force on each body of the group [N].
 
-    An axis is a range of segments; the shapes are (groups, 2) and (groups,).
+    An axis is a range of segments in `axes`, to which this function appends them. The shapes are (groups, 2) and
+    (groups,).
     """
     axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
     for drive in scene.drives:

@@ -36,7 +36,7 @@ def pairs_of(
     once = other >= 0
     if chunks is not None:
         # A pair that is listed at both spheres has two entries in the array `other`, one of them negative. The line
-        # above selects the other entry. A half list contains a pair only once if both spheres belong to the same CPU
-        # thread. Select this single entry, whatever its sign is.
+        # above selects the entry that is not negative. A half list contains a pair only once if both spheres belong to
+        # the same CPU thread. Select this single entry, whatever its sign is.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

@@ -94,9 +94,10 @@ class Stepper:
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
-        """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
+        """Make the stepper advance the scene with the index `index` of an existing batch.
 
-        `resumed` is the `state_dict` of an earlier stepper, whose work this stepper continues, or None.
+        `lists` and `stable_step` belong to this batch. `resumed` is the `state_dict` of an earlier stepper, whose work
+        this stepper continues, or None.
         """
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state

@@ -67,7 +67,7 @@ def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> i
 
     A round computes `count` pairs or bodies. The blocks of a batch wait for each other after every round, so all of
     them must be resident on the GPU at once. If several batches (`concurrent_batches`) compute rounds at the same time,
-    each of them gets an equal share of the blocks that fit on the GPU.
+    each of them gets an equal share of the blocks that fit on the `multiprocessors` of the GPU.
     """
     return max(1, min(-(-count // ROUND_BLOCK), RESIDENT_BLOCKS * multiprocessors // concurrent_batches))
 
@@ -135,7 +135,8 @@ class Subcycles:
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
     def load_state_dict(self, s: int, stored: Mapping[str, Any]) -> None:
-        """Restore the data of the sub-cycled bonds of scene `s` from a `state_dict`."""
+        """Restore the data of the sub-cycled bonds of scene `s` from `stored`, which :meth:`state_dict` has
+        returned."""
         if stored:
             self._rounds[s] = stored["rounds"]
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
@@ -236,8 +237,8 @@ class Subcycles:
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Copy positions and orientations of bodies with newly sub-cycled (stiff) bonds from the state; set their
-        forces to 0."""
+        """Copy positions and orientations of bodies with newly sub-cycled (stiff) bonds from the state, and set the
+        forces of these bonds to 0. `number` contains the permanent numbers of the bodies."""
         bodies, stored = self.batch.states[s].bodies, self._by_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:

@@ -45,7 +45,7 @@ class HertzMindlin(ContactLaw):
     def of(
         cls, young_modulus: float, poisson_ratio: float, *, rigid_partner: bool = False, **others: Any
     ) -> "HertzMindlin":
-        """Return the law for two bodies of one material, or for one body of this material and a rigid partner.
+        """Return the law for two bodies of one material or, with `rigid_partner`, for one such body and a rigid body.
 
         The material has the given Young's modulus [Pa] and Poisson ratio. `others` are further fields of the law.
         """

@@ -108,7 +108,10 @@ class _Onset:
 
 
 def _same_reach(one: _Onset, other: _Onset, where: Circumstances) -> None:
-    """Raise :class:`SceneError` if two laws begin to push at different overlaps."""
+    """Raise :class:`SceneError` if two laws begin to push at different overlaps.
+
+    The overlaps may differ by ONSET_TOLERANCE times the radius of the spheres.
+    """
     for what, right, wrong in (("two spheres", one.pair, other.pair), ("a sphere and a wall", one.wall, other.wall)):
         if right is not None and wrong is not None and abs(right - wrong) > ONSET_TOLERANCE * where.radius:
             refuse(
@@ -264,9 +267,8 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             f"must be at least the slope of force(), which is {slope[place]:.3g} N/m, so that steps are stable",
             "return the derivative of the force with respect to the overlap",
         )
-    # `stress` is the force of a linear spring divided by the square of the stones' diameter, at an overlap as large as
-    # this diameter. The deepest overlap of the path is DEEPEST times the radius, so this overlap is 2 / DEEPEST times
-    # as large.
+    # `stress` is F / d^2, where d is the diameter of the stones and F is the force of a linear spring at the overlap d.
+    # The deepest overlap of the path is DEEPEST d / 2, so F is 2 / DEEPEST times the force there.
     stress = push[-1] * (2 / DEEPEST) / (2 * depth.max() / DEEPEST) ** 2
     if stress > 0 and not 1 / STRESS_FACTOR < law.stress_scale / stress < STRESS_FACTOR:
         warn(

@@ -218,7 +218,7 @@ class ElementDisplay(Display):
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the mid-points of all filled slices along the pipe [m] and their stress [kPa] named `column`."""
         stations = self.simulation.scene.stations
-        # All curves of a frame share one measurement, so repeat it only when the simulated time has changed.
+        # All curves of a frame share one measurement. Repeat this measurement only when the simulated time has changed.
         if self._latest is None or self._latest[0] != self.time:
             self._latest = self.time, self._current_stresses(stations)
         values = self._latest[1][:, COLUMNS.index(column)]
@@ -297,7 +297,8 @@ class ElementDisplay(Display):
         return found
 
     def _worn(self, number: int) -> Any:
-        """Return the wear record of a wall; None if no wear is recorded or if the wall is not divided into patches.
+        """Return the wear record of wall `number`; None if no wear is recorded or if the wall is not divided into
+        patches.
 
         A plane is a single patch, so it has no distribution of wear that could be drawn.
         """
@@ -320,12 +321,13 @@ class ElementDisplay(Display):
         return Paint("worn depth [nm]", WEAR_PALETTE, rounded_up(self._worn_most) if self._worn_most > 0 else 0.0)
 
     def _depth(self, number: int) -> np.ndarray | None:
-        """Return the worn depth of each patch of a wall [nm], or None if the wall does not wear."""
+        """Return the worn depth of each patch of wall `number` [nm], or None if the wall does not wear."""
         worn = self._worn(number)
         return None if worn is None else NANOMETRES * self.snapshot_value(f"wear of {number}", lambda: worn.depth)
 
     def wall_values(self, number: int) -> np.ndarray | None:
-        """Return the worn depth at the vertices of a drawn wall [nm], or None if the wall does not wear."""
+        """Return the worn depth at the vertices of the drawn wall with the index `number` [nm], or None if it does not
+        wear."""
         depth = self._depth(number := self._drawn[number])
         if depth is None:
             return None

@@ -177,7 +177,8 @@ class Sampler:
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
         """Update mean wall forces and the work of driving forces; return the impulses of all walls, shape (walls, 6).
 
-        The columns are the impulse [N s] and the angular impulse [N m s].
+        The columns are the impulse [N s] and the angular impulse [N m s]. `clock` and `walls` contain the times of the
+        scene and the values of its walls, and `drive_power` is the power of the driving forces [W].
         """
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
         # The impulse on a wall is the sum of its forces over time. In the leapfrog scheme this sum reaches to the

@@ -66,7 +66,7 @@ class StationLog:
 def measured(stations: Stations, model: Model, state: State, travel: float) -> np.ndarray:
     """Measure all slices of the pipe in the current state; return an array of shape (slices, COLUMNS).
 
-    Slices that concrete does not fill are NaN.
+    Slices that concrete does not fill are NaN. `travel` is the arc length of the piston [m].
     """
     axis, edges = stations.axis, np.array(stations.edges)
     found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
@@ -124,8 +124,8 @@ def stresses_along(
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
     """Return a mask of the slices that lie between the piston and the front of the concrete, shape (slices,).
 
-    The piston is at the arc length `travel` [m]. `s` and `volume` are the arc lengths [m] and the
-    volumes of the bodies, the latter in any unit.
+    `edges` contains the arc lengths of the slices' ends [m], and `travel` is the arc length of the piston [m]. `s` and
+    `volume` are the arc lengths [m] and the volumes of the bodies, the latter in any unit.
     """
     whole = float(volume.sum())
     if whole == 0:
@@ -173,13 +173,17 @@ class _Spheres:
         self.middle = seen["bodies.position"].astype(float)
 
     def filled(self, edges: np.ndarray, travel: float) -> np.ndarray:
-        """Return a mask of the slices between a piston at `travel` [m] and the concrete's front, shape (slices,)."""
+        """Return a mask of the slices between a piston at `travel` [m] and the concrete's front, shape (slices,).
+
+        `edges` contains the arc lengths of the slices' ends [m].
+        """
         return _filled_slices(edges, travel, self.s, self.share)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Sum the columns (n, k) of all spheres in each slice, weighted with solid volume [m3]; shape (slices, k).
 
         The weight is the part of a sphere's solid volume between the two planes across the axis that bound the slice.
+        `edges` contains the arc lengths of the slices' ends [m].
         """
         found = np.zeros((len(edges) - 1, columns.shape[1]))
         for here, slices in _overlaps(self.s - self.radius, self.s + self.radius, edges):

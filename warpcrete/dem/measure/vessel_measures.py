@@ -55,14 +55,15 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
 def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
     """Return whether the main body of a heap has been slow throughout the last second of simulated time.
 
-    The result is False until one second has passed since the vessel was opened. For a test in which the concrete flows
-    out of a vessel, the result is always False.
+    `rows` contains the rows of the time series. The result is False until one second has passed since the vessel was
+    opened. For a test in which the concrete flows out of a vessel, the result is always False.
     """
     return vessel.test.outflow is None and is_at_rest(rows, vessel.opened, vessel.rest_speed)
 
 
 def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Return whether the test is over: the concrete is at rest, or has flowed out."""
+    """Return whether the test is over, according to `rows` of the time series: the concrete is at rest, or has flowed
+    out."""
     return at_rest(vessel, rows) or (vessel.test.is_over(rows[-1]) and rows[-1]["time"] > vessel.opened)
 
 

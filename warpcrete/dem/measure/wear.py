@@ -91,8 +91,10 @@ class PipePatches(Patches):
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
 
     def _areas(self, long: float) -> np.ndarray:
-        """Return the area of each patch [m2]; patches on the outside of a bend are longer than patches on its
-        inside."""
+        """Return the area of each patch [m2]; patches on the outside of a bend are longer than patches on its inside.
+
+        `long` is the length of a patch along the axis [m].
+        """
         turn = np.array([next(iter(self._curvature(s)), 0.0) for s in self.along])
         lever = self.radius * np.cos(self.angles)
         return long * 2 * np.pi * self.radius / self.around * (1 + turn[:, None] * lever[None])

@@ -188,9 +188,9 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
 def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) -> np.ndarray:
     """Return the centres of the balls of a plug, which fills the pipe's cross-section, shape (n, 3) [m].
 
-    The plug closes the front of the concrete. It consists of layers across the pipe. Each layer consists of concentric
-    rings of balls. Raises :class:`SceneError` if `ball` [m] does not fit the pipe or is so small that the plug has too
-    many balls.
+    The plug closes the front of the concrete, at the arc length `at` [m] of a pipe of the given `radius` [m]. It
+    consists of layers across the pipe. Each layer consists of concentric rings of balls. Raises :class:`SceneError` if
+    `ball` [m] does not fit the pipe or is so small that the plug has too many balls.
     """
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")

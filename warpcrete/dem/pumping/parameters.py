@@ -52,7 +52,8 @@ class ConcreteDefaults:
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the parameters that follow from the name or the file of the concrete."""
+        """Return the parameters that follow from the concrete, which the user's parameters `values` state by name or by
+        file."""
         return elements_of(values, cls.of_concrete()[1], ConcreteChoice.concrete)
 
     def __post_init__(self) -> None:

@@ -129,7 +129,8 @@ class PartElements(
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the parameters, by name, that follow from the file of a line, of a mesh or of a concrete."""
+        """Return the parameters, by name, that follow from the files of a line, of a mesh and of a concrete in
+        `values`."""
         said = {**parameters_from_line(values), **parameters_from_mesh(values, WAYS[:1])}
         return {**said, **super().implied({**said, **values})}
 

@@ -60,7 +60,7 @@ class Stations:
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
 
     def clear(self, low: float, high: float) -> np.ndarray:
-        """Return a mask of the slices between two arc lengths [m], shape (slices,).
+        """Return a mask of the slices between the arc lengths `low` and `high` [m], shape (slices,).
 
         A slice is left out if its middle is closer than CLEAR times the pipe's radius to either arc length.
         """
