@@ -1,7 +1,7 @@
-"""A barrier for CPU threads that each do their own part of a simulation step.
+"""A barrier for CPU threads, each of which computes a part of a simulation step.
 
 Warp runs a CPU kernel on the thread that launches it and lets Python's other threads run meanwhile. Each thread
-therefore replays a recorded sequence of launches (launch graph) of its own. The barrier is a kernel in these graphs:
+therefore replays a separate recorded sequence of launches (launch graph). The barrier is a kernel in these graphs:
 every thread waits in it until the last thread has arrived.
 
 A waiting thread first spins for some microseconds, which is enough while every thread has a core to itself. Then it

@@ -276,7 +276,7 @@ def test_peaks_and_what_is_held_of_made_up_strokes():
         ),
         (
             dict(unit="C", strokes=2, stroke=0.4, ramp=0.1),
-            "stroke = 0.4: times 2 strokes must not exceed the length of the bend's arc",
+            "stroke = 0.4: is too long, because 2 strokes together must not exceed the length of the bend's arc",
         ),
         (dict(strokes=0), "strokes = 0: must"),
     ],

@@ -39,9 +39,9 @@ def run_batch(
     """Run simulations on one device, in batches of simulations that need the same kernel features and fit the memory.
 
     Returns one entry for each simulation: its :class:`Run`, or the error that ended the simulation. The failure of a
-    simulation does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or
-    None. After Ctrl-C the entry of a simulation that had begun is its unfinished run, and the entry of any other
-    simulation is a `KeyboardInterrupt`. `progress` is called with the name of the current phase and the completed
+    simulation does not affect the other simulations. `checkpoints` gives, for each simulation, the checkpoint to resume
+    from, or None. After Ctrl-C the entry of a simulation that had begun is its unfinished run, and the entry of any
+    other simulation is a `KeyboardInterrupt`. `progress` is called with the name of the current phase and the completed
     fraction of the work.
     """
     tell = progress or (lambda phase, fraction: None)
@@ -313,8 +313,8 @@ def _turns(
 def _streams(simulations: Sequence[ElementSimulation], turn: list[tuple[list[int], float]]) -> list[Any]:
     """Return a CUDA stream for each batch in `turn`, a list of batches that run at the same time.
 
-    A batch that runs alone or on a CPU gets None instead of a stream. The largest batch has the lowest priority: it
-    keeps the GPU busy anyway, so small batches should not wait for it.
+    On a CPU, and if `turn` contains only one batch, the list contains None instead of a stream. The largest batch has
+    the lowest priority: it keeps the GPU busy anyway, so small batches should not wait for it.
     """
     device = simulations[turn[0][0][0]].device
     if len(turn) == 1 or not device.is_cuda:

@@ -61,8 +61,8 @@ class Batch(JointArrays):
 
     `models` (constant data of the scenes) and `states` (data that change in time) have one entry for each scene. On a
     CPU, `threads` threads share the work of a single scene: each thread computes a chunk, a range of bodies that are
-    neighbours in memory. A batch of several scenes uses one thread, and a small scene uses fewer threads than given.
-    Raises :class:`SceneError` if the scenes need different features.
+    neighbours in memory. A batch of several scenes uses one thread, and a small scene uses fewer than `threads`
+    threads. Raises :class:`SceneError` if the scenes need different features.
     """
 
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:

@@ -28,8 +28,8 @@ POLL_INTERVAL = 50e-6
 class _Scene:
     """Scene of a batch with its coroutine, which yields the times or numbers of steps to which the batch must advance.
 
-    `waiting` is True while the coroutine waits for the time steps to its latest goal. `result` is what the coroutine
-    has returned or raised at its end.
+    `waiting` is True while the coroutine waits for the time steps to its latest goal. `result` is the value that the
+    coroutine has returned, or the exception that ended it.
     """
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
@@ -207,8 +207,9 @@ def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
     """Run the coroutines of all scenes of one batch to their ends.
 
     `scenes` maps the number of each scene to its stepper, which advances the scene, and its coroutine. The result maps
-    these numbers to what each coroutine returned or raised. An interruption (Ctrl-C) is raised inside every coroutine
-    that is waiting. The function may move some scenes to another batch, so do not pass the same steppers to it again.
+    these numbers to the value that each coroutine returned, or to the exception that ended it. An interruption (Ctrl-C)
+    is raised inside every coroutine that is waiting. The function may move some scenes to another batch, so do not pass
+    the same steppers to it again.
     """
     (results,) = drive_batches([(scenes, None)])
     return results

@@ -393,9 +393,9 @@ def pair_bytes(model: Model) -> dict[str, int]:
 def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the index of each body's first sphere, the spheres' offsets and radii, and the bodies' moments of inertia.
 
-    The shapes are (bodies + 1,), (spheres, 4) and (bodies, 3). The offset [m] is the position of the sphere's centre
-    relative to the body's centroid, in the body's axes; the fourth column is the radius [m]. The moments of inertia [kg
-    m2] are principal moments.
+    `table` contains the bodies. The shapes are (bodies + 1,), (spheres, 4) and (bodies, 3). The offset [m] is the
+    position of the sphere's centre relative to the body's centroid, in the body's axes; the fourth column is the radius
+    [m]. The moments of inertia [kg m2] are principal moments.
     """
     first = np.concatenate([[0], np.cumsum(table.sphere_counts)]).astype(np.int32)
     offsets = np.zeros((int(first[-1]), 4))

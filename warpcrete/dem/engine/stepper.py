@@ -50,7 +50,7 @@ class Stepper:
     """Object that advances one scene of a batch in time and controls its step size and its bonds.
 
     A single scene is a batch of one. `reaching` is a coroutine, which `scheduling.drive` runs together with the
-    coroutines of other scenes. `advance` and `take` step this scene alone.
+    coroutines of other scenes. `advance` and `take` advance only the scene of this stepper.
     """
 
     def __init__(
@@ -362,11 +362,11 @@ class Stepper:
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
     def advance(self, until: float) -> None:
-        """Advance this scene alone until `until` [s], or by less than one step beyond this time."""
+        """Advance only the scene of this stepper to the time `until` [s], or beyond this time by less than one step."""
         drive_one(self, self._yield_goal(Until(until)))
 
     def take(self, count: int) -> None:
-        """Advance this scene alone by `count` steps of the current size."""
+        """Advance only the scene of this stepper by `count` steps of the current size."""
         drive_one(self, self._yield_goal(Steps(count)))
 
     @staticmethod

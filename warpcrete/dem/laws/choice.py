@@ -1,4 +1,5 @@
-"""Parameters that replace a scene's own contact law by a law of this package or by a user's class."""
+"""Parameters with which a user replaces the default contact law of a scene by another law, for example by a new
+class."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
@@ -29,7 +30,7 @@ law."""
 class LawChoice:
     """Contact law.
 
-    Parameter that replaces the scene's own law by another law, for contacts between aggregates and on walls.
+    Parameter that replaces the default law of the scene by another law, for contacts between aggregates and on walls.
     """
 
     contact: Annotated[

@@ -160,7 +160,8 @@ def _onset(depth: np.ndarray, push: np.ndarray) -> float | None:
 def _march(
     law: ContactLaw, where: Circumstances, dt: float, keep: int, gap: np.ndarray, opening: Any, sliding: Any
 ) -> SimpleNamespace:
-    """Return what the functions of a law return along a path of two spheres, and along the same path at a wall.
+    """Return the results of a law's functions along a path of two spheres, and along the same path of a sphere at a
+    wall.
 
     The path has one value per step: the `gap` [m], the speed `opening` at which the gap grows [m/s], and the `sliding`
     speed [m/s]. With `keep` = 0, each step begins with a zero history. The results have the shape (2, steps, ...). The

@@ -111,7 +111,8 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the rows of the time series, and the other data that the next row depends on, from a `state_dict`."""
+        """Restore the sampler from a `state_dict`: all rows of the time series, and everything on which the next row
+        depends."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])

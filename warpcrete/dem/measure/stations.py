@@ -21,8 +21,8 @@ from .station_forces import StationArrays, read_arrays
 RINGS = 5
 """Number of rings of equal width around the axis, in each of which the axial velocity is averaged for a profile."""
 FRONT = 0.98
-"""Fraction of the solid volume that lies behind the front of the concrete; this defines the front. Ahead of the front,
-concrete does not fill the whole cross-section."""
+"""Fraction of the solid volume that defines the front of the concrete: this fraction lies behind the front. Ahead of
+the front, concrete does not fill the whole cross-section."""
 FARTHEST = 8
 """The search for the front of the concrete looks only at 1/FARTHEST of all bodies, to save time. These are the bodies
 that are farthest along the pipe."""

@@ -84,7 +84,7 @@ class PipeParameters(
             if self.distance > self.arc * (1 + 1e-9):
                 longest = f"must not exceed the length of the bend's arc, {self.arc:.6g} m"
                 if self.stroke is not None:
-                    refuse("stroke", self.stroke, f"times {self.strokes} strokes {longest}")
+                    refuse("stroke", self.stroke, f"is too long, because {self.strokes} strokes together {longest}")
                 refuse("travel", self.travel, longest)
             if self.plug == "plate":
                 problem = "must not be a plate in a bend, because a plate cannot follow it"

@@ -177,7 +177,7 @@ class Course:
 
 
 def course_of(given: PartElements) -> Course:
-    """Return the pipe of a scene: a straight section in which the piston moves, then a part or a whole pump line.
+    """Return the pipe of a scene: a straight section in which the piston moves, followed by one part or a pumping line.
 
     Raises :class:`SceneError` if parameters contradict each other.
     """
@@ -216,8 +216,8 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Return the arc lengths between which a pump line is not a straight pipe [m]; None if the whole line is a straight
-    pipe."""
+    """Return the arc lengths between which a pumping line is not a straight pipe [m]; None if the whole line is a
+    straight pipe."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None

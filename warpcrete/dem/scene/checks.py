@@ -62,7 +62,7 @@ def overlap_words(scene: Scene, overlap: float) -> str:
 
 @with_cures(CURES)
 def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a scene that was built in Python and therefore has no checks of its own.
+    """Return the checks of a run whose scene was built in Python, so that no scene function supplies checks.
 
     The momentum balance is checked only if gravity acts. Without gravity, all impulses may be as small as rounding
     errors.
