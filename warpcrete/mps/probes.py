@@ -18,8 +18,8 @@ LOWEST = 0.1
 """Height of a zone above the piston, divided by the height of the column. The pressure on the piston is extrapolated
 from the pressures of the particles in this zone."""
 WINDOW = (0.65, 0.85)
-"""Two heights above the piston, divided by the height of the column. Between them, a particle's weight in the
-measurement of the volume falls from one to zero."""
+"""Two heights above the piston, divided by the height of the column. From the lower to the upper height, a particle's
+weight in the measurement of the volume falls from one to zero."""
 UNITS = {
     "time": "s",
     "travel": "m",
@@ -71,7 +71,7 @@ class Snapshot:
 
 
 def section(flow: MovingParticles) -> float:
-    """Return the cross section of the pipe [m2]; for a channel, the cross section per metre of depth [m]."""
+    """Return the cross-sectional area of the pipe [m2]; for a channel, the area per metre of depth [m]."""
     return 2 * flow.scene.radius if flow.scene.dimensions == 2 else math.pi * flow.scene.radius**2
 
 

@@ -143,7 +143,7 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
 
 
 def step_time(simulation: Any) -> float:
-    """Measure the wall time of a step and return it [s]."""
+    """Return the wall time of a step [s], measured over the next steps of the simulation."""
     flow = simulation.flow
     # The first steps capture the launch graph. They are taken here, so that the capture is not timed.
     count = _steps_at_once(flow)

@@ -51,7 +51,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def copies(self) -> int:
-        """Number of images of each particle: 1 in two dimensions; doubled by each plane of symmetry in three."""
+        """Number of images of each particle: 1 without planes of symmetry, 2 with one plane, 4 with two planes."""
         return len(self._mirrored)
 
     def centres(self) -> np.ndarray:
@@ -159,7 +159,7 @@ class FreeDisplay(GridDisplay):
         return found
 
     def _cropped(self, points: Points) -> np.ndarray:
-        """Return the corners of a closed polygon [m], clipped to the simulated space."""
+        """Return the corners `points` of a polygon [m], clipped to the simulated space, with the first one repeated."""
         scene = self.simulation.scene
         corners = np.array([*points, points[0]])
         return np.clip(corners, [0.0, 0.0], [scene.width, scene.height])

@@ -19,8 +19,8 @@ from .scene import FreeScene
 from .simulation import FreeSimulation
 
 DURATION_FACTOR = 1.2
-"""Assumed ratio of the simulated time in which a funnel empties to its closed-form estimate. The closed form neglects
-the stretching of concrete in the taper.
+"""Assumed time in which a simulated funnel empties, divided by the closed-form estimate of this time. The closed form
+neglects the stretching of concrete in the taper.
 
 Simulations gave ratios from 1.0 to 1.3.
 """
