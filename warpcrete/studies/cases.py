@@ -12,7 +12,8 @@ from ..core.errors import flag, refuse, whole
 MAX_NAME_LENGTH = 120
 """Maximum length of a run folder's name [characters]; file systems allow 255 bytes."""
 MAX_CASES = 10_000
-"""Maximum number of cases in a study, because every case fills a folder and appears in the tables and the figure."""
+"""Maximum number of cases in a study. The number is limited because every case fills a folder and appears in the tables
+and the figure."""
 
 
 @dataclass(frozen=True)

@@ -235,7 +235,7 @@ def _panel(
         axes.margins(x=0.2)
     simulated = [each.title for each in drawn if each.name not in theories] or [each.title for each in drawn]
     if len(simulated) == 1:
-        # The short title of a quantity, such as "end", is not clear on its own. Use the whole name of the quantity.
+        # The short title of a quantity, such as "end", does not tell what is drawn. Use the whole name of the quantity.
         simulated = [next(each for each in drawn if each.title == simulated[0]).name.replace("_", " ")]
     titles = textwrap.fill(" and ".join(simulated), LABEL_WIDTH)
     x_title = f"{name} [{x_scale[1]}]" if x_scale[1] else name

@@ -1,4 +1,4 @@
-"""Execution of a study's cases: together on a GPU, in separate processes on a CPU."""
+"""Execution of a study's cases: at the same time on a GPU, in separate processes on a CPU."""
 
 import importlib
 import shutil
@@ -98,7 +98,7 @@ def run_on_gpu(
 
     def store(case: Case, outcome: Any) -> None:
         store_outcome(case, outcome)
-        # No work is left for a case that failed or finished, even if its run ended early.
+        # A case that failed or finished counts as complete in the progress, even if its run ended early.
         if isinstance(outcome, Exception) or (isinstance(outcome, Run) and outcome.finished):
             progress_of(case)("running", 1.0, {})
 
@@ -123,7 +123,7 @@ def _run_group(
         by_name, found = simulations_of(record, module, folder, group, progress_of)
         simulations += [simulation for simulation, _ in by_name.values()]
         for simulation in simulations:
-            # If the user pressed Ctrl-C while the simulations were created, they have not received the request to stop.
+            # The simulation has not received the request to stop if the user pressed Ctrl-C before it was created.
             simulation.stop_requested |= stop.requested
 
         def packing(phase: str, fraction: float) -> None:

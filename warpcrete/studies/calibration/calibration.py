@@ -1,4 +1,4 @@
-"""Results of a calibration: its trials, the parameters found, and the questions that the data leave open."""
+"""Results of a calibration: its trials, the likeliest parameters, and findings about targets and parameters."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -52,7 +52,7 @@ class Calibration:
     """Parameters that are changed in coarse trials, by the key of each group of targets (:attr:`.Target.key`); empty if
     there are no coarse trials."""
     coarse_posterior: Posterior | None = None
-    """Posterior computed from coarse trials alone; it only proposes the parameters of the first full trials."""
+    """Posterior computed from the coarse trials only; it proposes the parameters of the first full trials."""
     settled: bool = False
     """True if the search has converged: further runs would hardly change the posterior."""
     finished: bool = False

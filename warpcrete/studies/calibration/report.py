@@ -33,7 +33,10 @@ def write(found: Calibration, modules: Mapping[str, Any]) -> None:
 
 
 def report(found: Calibration) -> str:
-    """Return a Markdown report with the parameters, the targets, and the questions that the measurements leave open."""
+    """Return a Markdown report with the parameters, the targets, and the findings of a calibration.
+
+    The findings (:attr:`.Calibration.findings`) name, for example, parameters that the measurements do not determine.
+    """
     lines = ["# Calibration", ""]
     if found.posterior is None:
         return "\n".join([*lines, f"No answer yet: {len(found.trials)} trials done."])

@@ -52,8 +52,8 @@ def _misfit(known: Sequence[Target], predictions: Mapping[Target, float]) -> flo
 def _closed_forms(task: Task, targets: Sequence[Target], point: Any, modules: Mapping[str, Any]) -> dict[Target, float]:
     """Return the closed-form predictions of some `targets` at a `point` in the ranges of the free parameters.
 
-    Targets that have no closed form, or whose parameters are impossible at this point, are left out. The closed form of
-    a scene gives all its quantities at once, so it is computed only once for all targets of the same scene.
+    Targets that have no closed form, or whose parameters are impossible at this point, are left out. One evaluation of
+    a scene's closed form gives all its quantities, so it is computed only once for all targets of the same scene.
     """
     expected: dict[str, Mapping[str, float]] = {}
     found: dict[Target, float] = {}

@@ -31,7 +31,7 @@ from .run import folder_name
 SCENE = "part-dem"
 STRAIGHT_DIAMETERS = 3.0
 """Length of the straight pipe before a simulated bend or reducer, divided by the larger of the part's diameters. The
-straight pipe behind the part has the same length. A simulation of straight pipe alone consists of two such lengths."""
+straight pipe behind the part has the same length. The simulations of straight pipe consist of two such lengths."""
 LARGEST_STONE_RATIO = 0.3
 """Smallest ratio of the largest stone's diameter to the narrowest bore of the line in a simulation. If the stones are
 smaller, they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
@@ -46,7 +46,7 @@ PRESSED_RUN = "pressed"
 """Last entry in the keys of runs that belong to the second simulation of straight pipe.
 
 In this simulation, the movable plug that closes the outlet presses against the concrete. In the first simulation, the
-plug hardly resists, so that the pressure remains low. A friction law fitted to these low pressures alone would
+plug hardly resists, so that the pressure remains low. A friction law fitted only to these low pressures would
 overestimate the friction at high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04

@@ -169,8 +169,8 @@ def _fitted(
     reasons = {2: NO_FACTOR}
     for place, value in ((2, 1.0), (1, 0.0), (2, 1.0)):
         if place in free and found[place] < NOTHING[place]:
-            # The measured pressures cannot distinguish this constant from zero. Give it its default value, and fit the
-            # other constants again.
+            # The measured pressures cannot distinguish this constant from zero. Fit the other constants again, with a
+            # yield stress of zero, or with the factors of bends from the table.
             free.remove(place)
             start[place] = value
             if place == 2:

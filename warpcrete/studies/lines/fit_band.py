@@ -1,6 +1,6 @@
 """Uncertainty band of a slip layer that was fitted to pressures along a trial line.
 
-The band takes into account what was known of the layer before the measurement, and it contains the readings of the
+The band takes into account the slip layer that was expected before the measurement, and it contains the readings of the
 gauges unless their errors explain the difference.
 """
 

@@ -156,9 +156,9 @@ class LinePressures:
         """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
 
         With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
-        `flow`, it is the pressure for restarting at that flow at once. The friction of straight pipe follows from the
-        closed form with the yield stresses after the stop. The ratio of the friction of a fitting to the friction of
-        straight pipe is assumed to be the same as before the stop.
+        `flow`, it is the pressure that restarts the line immediately at that flow. The friction of straight pipe
+        follows from the closed form with the yield stresses after the stop. The ratio of the friction of a fitting to
+        the friction of straight pipe is assumed to be the same as before the stop.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"

@@ -1,8 +1,8 @@
 """Pressure of a pump line, calculated in a tenth of a second without any simulation.
 
 The friction of straight pipe follows from closed forms. The friction of bends and reducers, relative to straight pipe,
-was found in earlier simulations of such parts. This module must not import the simulations, because importing Warp
-alone takes longer than the calculation.
+was found in earlier simulations of such parts. This module must not import the simulations, because the import of Warp
+takes longer than the calculation.
 """
 
 import math

@@ -115,7 +115,7 @@ def names_of_parts() -> list[str]:
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     """Split the names in `only` into columns and rows of the report on Zhan et al.; an empty list stands for all.
 
-    Raises :class:`SceneError` for an unknown name, for another paper, and if the names select no runs.
+    Raises :class:`SceneError` for an unknown name, for names with the paper `xu`, and if the names select no runs.
     """
     if only and paper != "zhan":
         refuse("only", list(only), f"has no effect for the paper {paper!r}, only for 'zhan'", "leave out 'only'")

@@ -1,4 +1,4 @@
-"""Choice of the settings that reach a wanted accuracy, from a measured trade-off between speed and accuracy."""
+"""Choice of the settings that reach a required accuracy, from a measured trade-off between speed and accuracy."""
 
 import math
 from collections.abc import Mapping

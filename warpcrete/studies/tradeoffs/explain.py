@@ -182,8 +182,8 @@ def _knobs_of(scene: Any, measured: Mapping[str, Any] | None) -> set[str]:
 def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
     """Yield a saving for each change of a single accuracy parameter that shortened the run in a trade-off study.
 
-    `points` contains the settings of the study with their run times and errors. The first of them is the scene as
-    given. `knobs` holds the names of the accuracy parameters that are considered.
+    `points` contains the settings of the study with their run times and errors. The first of them is the user's scene.
+    `knobs` holds the names of the accuracy parameters that are considered.
     """
     for point in points[1:]:
         given, alone = points[0], point["origin"] in knobs and point["errors"] and not point["suspect"]
@@ -210,8 +210,8 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
             ratio = rest + (1.0 - rest) * whole / min(others)
             if ratio < MAX_TIME_RATIO:
                 yield Saving(f"no {name.removeprefix('contacts and ')}, or softer ones", ratio, "error not measured")
-    # In scenes without bonds, the forecast contains the time step without dashpots, which gives the saving by weaker
-    # dashpots.
+    # In scenes without bonds, the forecast states the time step that is stable without dashpots. It gives the largest
+    # saving that weaker dashpots can bring.
     if alone < 1.05 * whole and not any(name.startswith("contacts and ") for name in forecast.limits):
         ratio = rest + (1.0 - rest) * alone / forecast.limits.get("contacts without dashpots", alone)
         if ratio < MAX_TIME_RATIO:

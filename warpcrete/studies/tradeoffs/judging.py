@@ -35,7 +35,7 @@ class Judging(ABC):
 
     @abstractmethod
     def alone(self, knob: Knob, level: int) -> Setting | None:
-        """Return the setting in which only `knob` differs from the scene as given, or None if it was not created.
+        """Return the setting in which only `knob` differs from the user's scene, or None if it was not created.
 
         A knob is a parameter that trades accuracy for run time, and `level` is the index of one of its values.
         """

@@ -12,11 +12,11 @@ from ...record.checks import failed_checks
 from .fronts import Error, worst
 
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
-"""Relative errors that users may want. For each one, a study looks for the cheapest setting whose error is not
-larger."""
+"""Error limits (relative errors) that users may require. For each one, a study looks for the cheapest setting within
+this limit."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
 """Origins of those settings of a trade-off study that do not just change a single accuracy parameter. In this order,
-they are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and
+they are the user's scene, the finest setting that the budget allows, a combination of several changed parameters, and
 a setting that is repeated in a variant of the scene."""
 
 
@@ -29,7 +29,7 @@ class Setting:
     words: "as given" (the user's scene), "finest" (all accuracy parameters as fine as the budget allows), "combined"
     (several parameters changed), or "carried" (a setting repeated in a variant of the scene)."""
     levels: dict[str, int]
-    """Index of the level (value) of each accuracy parameter that differs from the scene as given, by the parameter's
+    """Index of the level (value) of each accuracy parameter that differs from the user's scene, by the parameter's
     name."""
     parameters: dict[str, Any]
     """All keyword arguments of the scene function, without the seed."""
@@ -41,7 +41,7 @@ class Setting:
     """Reason why the setting was not run; empty if it was run. A resumed study may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions that make results of runs with this setting comparable with results of the scene as given, by the
+    """Conversions that make results of runs with this setting comparable with results of the user's scene, by the
     name of the quantity. A pipe of half the length, for example, needs about half the pressure. A conversion is a pair
     (offset, factor); it replaces a value by offset + factor * (value - offset)."""
     variant: str = ""
@@ -56,7 +56,7 @@ class Setting:
         """Return the values of a result quantity in the runs with the given seeds.
 
         If an accuracy parameter of this setting changes the meaning of the quantity, as a shorter pipe changes the
-        meaning of its pressure, the values are converted to the scene as given (:attr:`converted`).
+        meaning of its pressure, the values are converted to the user's scene (:attr:`converted`).
         """
         found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
         offset, factor = self.converted.get(quantity, (0.0, 1.0))
@@ -102,7 +102,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Promise:
-    """The cheapest setting found for a wanted error, and the result of its test with new random seeds."""
+    """The cheapest setting found within one error limit, and the result of its test with new random seeds."""
 
     target: float
     point: Setting | None

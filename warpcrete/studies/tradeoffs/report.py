@@ -29,7 +29,7 @@ def on_front(trade: Trade) -> list[Setting]:
 
 
 def table(trade: Trade) -> str:
-    """Return Markdown with the cost and errors of every setting, and the best settings for each wanted error."""
+    """Return Markdown with the cost and errors of every setting, and the best settings for each error limit."""
     against = "the closed form" if trade.exact else "the finest setting reached"
     best = on_front(trade)
     head = ["setting", "time [s]", "relative time", "work [million particle-steps]", "memory [MB]"]
@@ -76,7 +76,7 @@ def _beside(trade: Trade) -> str:
 
 
 def promises(trade: Trade) -> list[str]:
-    """Return the lines of a Markdown table with the best settings for each wanted error."""
+    """Return the lines of a Markdown table with the best settings for each error limit in `WANTED_ERRORS`."""
     lines = [
         "| error wanted | setting | relative time | guaranteed error | error with fresh seeds | in other scenes |",
         "|---|---|---|---|---|---|",

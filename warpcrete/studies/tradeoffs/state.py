@@ -110,7 +110,7 @@ class Trade(Judging):
         return math.ceil(runs / self.abreast)
 
     def label(self, point: Setting) -> str:
-        """Return a description of how a setting differs from the scene as given."""
+        """Return a description of how a setting differs from the user's scene."""
         parts = [f"{knob.name} {knob.levels[point.levels[knob.name]].label}" for knob in self.knobs
                  if knob.name in point.levels]  # fmt: skip
         return ", ".join(parts) or GIVEN
@@ -119,7 +119,7 @@ class Trade(Judging):
         """Return a dictionary from the names of knobs to the names of their levels in a setting.
 
         A knob is a parameter that trades accuracy for run time, and a level is one of its values. The dictionary
-        contains only knobs whose level differs from that in the scene as given. Levels with the same name correspond to
+        contains only knobs whose level differs from that in the user's scene. Levels with the same name correspond to
         each other in different scenes.
         """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
@@ -128,8 +128,8 @@ class Trade(Judging):
     def point(self, origin: str, levels: Mapping[str, int]) -> Setting:
         """Return the setting with the given levels; create it unless a setting with equal parameters exists.
 
-        `levels` holds the index of a level (value) for each knob (accuracy parameter) that differs from the scene as
-        given.
+        `levels` holds the index of a level (value) for each knob (accuracy parameter) that differs from the user's
+        scene.
         """
         changes: dict[str, Any] = {}
         converted: dict[str, tuple[float, float]] = {}
@@ -178,7 +178,7 @@ class Trade(Judging):
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Return the wall time with `knob` at one level, divided by the wall time of the scene as given.
+        """Return the wall time with `knob` at one level, divided by the wall time of the user's scene.
 
         A knob is a parameter that trades accuracy for run time, and a level is one of its values. The ratio is measured
         if there was a run in which only this knob was changed to this level. Otherwise it is estimated.
@@ -192,7 +192,7 @@ class Trade(Judging):
         return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Return the index of the level at which a knob has the same value as in the scene as given.
+        """Return the index of the level at which a knob has the same value as in the user's scene.
 
         A knob is an accuracy parameter, and its levels are the values to choose from. If no level agrees, the result is
         the index of the finest level.
@@ -272,7 +272,7 @@ class Trade(Judging):
 
     def folder_of(self, point: Setting, seed: int) -> Path:
         """Return the folder of the run of a setting with a random seed."""
-        # Name the folder after the parameters that differ from the scene as given. Parameters with default values may
+        # Name the folder after the parameters that differ from the user's scene. Parameters with default values may
         # be missing from `self.base`; a missing parameter counts as None if its default is None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}

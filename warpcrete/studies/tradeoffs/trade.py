@@ -2,7 +2,7 @@
 
 A knob is a parameter that trades accuracy for speed, such as the resolution. A study has four phases:
 
-1. Run the scene as given, and then with one knob changed at a time.
+1. Run the user's scene, and then with one knob changed at a time.
 2. Run the scene with all knobs as fine as the budget allows. This run is the reference, unless a closed form is known.
 3. For each of several error limits from 20 % down to 1 %, run the combination of knobs that is expected to be the
    cheapest one within this limit.
@@ -42,17 +42,17 @@ FRESH_SEEDS = 3
 """Number of new random seeds with which a promised error bound is tested. None of them was used to compute the
 bound."""
 SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
-"""Fractions of the budget at which three phases of a study end: changes of single knobs, the finest setting, and
-combinations of several changed knobs."""
+"""Fractions of the budget at which three phases of a study end: runs with a single changed knob, runs with the finest
+setting, and runs with several changed knobs."""
 
 
 def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
-    """Measure how the accuracy settings of a scene function, such as ``warpcrete.scenes.pipe``, affect its cost.
+    """Measure how the accuracy settings of a scene change its run time and its errors.
 
-    The study measures the run time and the errors with each setting. The settings of the study, `budget` [s],
-    `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers` and `progress`, and the errors raised,
-    are explained in :func:`run_trade`. All other keywords are parameters of the scene. `out` is the new folder
-    (default: runs/trade-NNN).
+    `scene` is a scene function, such as ``warpcrete.scenes.pipe``. The arguments `budget` [s], `quantities`, `knobs`,
+    `repeat`, `device`, `threads`, `scheduler`, `workers` and `progress`, and the errors raised, are explained in
+    :func:`run_trade`. All other keywords are parameters of the scene. `out` is the new folder (default:
+    runs/trade-NNN).
     """
     name, module = module_of(scene)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
@@ -277,9 +277,9 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
 
 
 def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
-    """Compute the errors of `settings` from existing runs, and find the cheapest one for each wanted error.
+    """Compute the errors of `settings` from existing runs, and find the cheapest one for each error limit.
 
-    No new runs are made.
+    No new runs are made. The error limits are those of `WANTED_ERRORS`.
     """
 
     def tell(phase: str, fraction: float, figures: Mapping[str, Any]) -> None:
@@ -306,7 +306,7 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
 
     A knob is a parameter that trades accuracy for run time, and its levels are its possible values. As long as the run
     would exceed the budget, one knob is set to its next coarser level: the knob whose coarser level saves most time for
-    the error that it adds. No knob becomes coarser than in the scene as given.
+    the error that it adds. No knob becomes coarser than in the user's scene.
     """
     levels = {}
     for knob in trade.chosen_knobs:
@@ -339,17 +339,17 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
     point = trade.point(REFERENCE, top)
     if trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
         trade.record = {**trade.record, "finest": top}
-    else:  # The finest setting did not run to its end. The scene as given becomes the reference instead.
+    else:  # The finest setting did not run to its end. The user's scene becomes the reference instead.
         del trade.points[before:]
         point = trade.given
     point.origin = REFERENCE
 
 
 def _run_combinations(trade: Trade, tell: Tell) -> None:
-    """Run, for each wanted error, the combination of accuracy parameters that is expected to be the cheapest one.
+    """Run, for each error limit, the combination of accuracy parameters that is expected to be the cheapest one.
 
     The expected error and time of a combination follow from runs in which a single parameter was changed. The errors
-    that its changed parameters caused in such runs are added up.
+    that its changed parameters caused in such runs are added up. The error limits are those of `WANTED_ERRORS`.
     """
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
@@ -362,16 +362,16 @@ def _run_combinations(trade: Trade, tell: Tell) -> None:
 
 
 def _find_promises(trade: Trade, tell: Tell) -> None:
-    """Find and test, for each wanted error, the cheapest setting whose error bound is at most the wanted error.
+    """Find and test, for each error limit, the cheapest setting whose error bound is within the limit.
 
-    A setting is tested in runs with new random seeds and in runs of variants of the scene. It is rejected, and the next
-    cheapest setting is tested, in three cases:
+    The error limits are those of `WANTED_ERRORS`. A setting is tested in runs with new random seeds and in runs of
+    variants of the scene. It is rejected, and the next cheapest setting is tested, in three cases:
 
     - A run with new seeds fails, or fails a check.
-    - The error in a variant, or the bound that follows from all variants, exceeds the wanted error.
+    - The error in a variant, or the bound that follows from all variants, exceeds the limit.
     - The scene has variants, but the setting could not be tested in any of them.
 
-    The error in the runs with new seeds is reported, but not compared with the wanted error.
+    The error in the runs with new seeds is reported, but not compared with the limit.
     """
     # Run variants only if a closed form gives the expected values, or if nothing is random. Otherwise, each variant
     # would need reference runs with several seeds, which takes too long.

@@ -58,8 +58,8 @@ class Case:
     name: str
     kind: str
     group: str
-    """Name of the mix, line or laboratory that several cases share. The cases of a group are fitted, or held out,
-    together."""
+    """Name of the mix, line or laboratory that several cases share. Either all cases of a group are fitted, or all of
+    them are held out."""
     source: str
     """Publication that reports the measurement, with the table, figure or section."""
     mix: Mapping[str, Any]

@@ -116,7 +116,7 @@ def line_weight(case: Case) -> float:
 
 
 def _layer(case: Case) -> list[Band]:
-    """Predict the wall stress [Pa] of the slip layer at one slip velocity."""
+    """Predict the wall stress [Pa] of the slip layer at the slip velocity of the case."""
     speed = _number(case, "speed", "m/s")
     return [_banded(mix_of_case(case), lambda c: float(c.layer_law.stress(speed)))]
 
