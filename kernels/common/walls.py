@@ -18,10 +18,10 @@ PLANE: int = wp.constant(0)
 PIPE: int = wp.constant(1)
 MESH: int = wp.constant(2)
 
-# The array `across` of a mesh stores a number for each edge of a face. If exactly one other face shares the edge, the
-# number is the corner of that face opposite the edge. If no other face shares the edge, the number is BORDER. If
-# several faces share the edge, it is SHARED - k, where k is the number of a list in the array `ring`. This list
-# contains the opposite corners of all these faces.
+# The first three columns of the array `across` of a mesh contain a number for each edge of a face. If exactly one other
+# face shares the edge, the number is the index of that face's corner opposite the edge. If no other face shares the
+# edge, the number is BORDER. If several faces share the edge, it is SHARED - k, where k is the number of a list in the
+# array `ring`. This list contains the opposite corners of all these faces.
 BORDER: int = wp.constant(-1)
 SHARED: int = wp.constant(-2)
 

@@ -24,10 +24,10 @@ them."""
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int) -> wp.Kernel:
     """Return the kernel that adds up the stiffness and damping of each sphere's contacts in `estimate`.
 
-    `begin` is the first sphere of the launch. If `stiff` is true, the kernel counts only pairs with stiff bonds, which
-    are computed in several rounds per step (sub-cycling). With half lists, `first` and `last` bound the range of
-    spheres of one CPU thread, and `part` is the number of this thread. On a GPU, `part` is 0, and `lanes` threads share
-    a sphere.
+    The kernel's argument `begin` is the first sphere of the launch. If its argument `stiff` is true, the kernel counts
+    only pairs with stiff bonds, which are computed in several rounds per step (sub-cycling). With half lists, `first`
+    and `last` bound the range of spheres of one CPU thread, and `part` is the number of this thread. On a GPU, `part`
+    is 0, and `lanes` threads share a sphere.
     """
     t = types(scalar)
     sum_of_group = group_functions(scalar, lanes).sum_of_group

@@ -79,7 +79,7 @@ def scene_struct(scalar):
 
         # largest speed in the scene that is expected before the next stable step estimate [m/s]
         expected_speed: wp.float64
-        wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
+        wall_stiffness: wp.float64  # lower bound of the stiffness of the contacts on a driven wall [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
 
         # The following integers are the first indices of the scene in the arrays of bodies, spheres, pairs and so on,

@@ -222,7 +222,7 @@ class Batch(JointArrays):
         return self._clock
 
     def _read_flags(self) -> None:
-        """Read the scenes' control flags and times from the device.
+        """Read the scenes' control flags and times from the device into the host's copies.
 
         On a CPU, use views of the arrays, which are always up to date, instead of copies.
         """
@@ -281,7 +281,7 @@ class Batch(JointArrays):
             self.flush()
 
     def flush(self) -> None:
-        """Send pending host changes to the device, so that its arrays are complete, and discard the host's copies."""
+        """Send pending host changes to the device, so that its arrays are up to date, and discard the host's copies."""
         pending = [(self.scenes.row, self.rows)] if self._row_pending else []
         if self.parallel and self._flags_pending:
             assert self._flags is not None

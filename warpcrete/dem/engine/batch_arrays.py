@@ -33,7 +33,8 @@ class JointArrays:
     """Device arrays of all scenes of a batch, joined end to end; all scenes must use the same kernels."""
 
     flags: DeviceArray
-    """Control flags of all scenes, such as halted, failed and stale lists, shape (scenes, FLAGS)."""
+    """Control flags of all scenes, for example whether a scene is halted or its lists are stale, shape (scenes,
+    FLAGS)."""
     scenes: Scenes
     """Clocks and parameters of all scenes, in a struct `Scenes` of arrays (see `kernels/dem/structs.py`)."""
     bodies: Bodies

@@ -38,8 +38,8 @@ NEVER = 2**31 - 1
 time."""
 LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 """Factors that adapt the expected lifetime of neighbour lists. If lists have become stale, the next lists are expected
-to last `LIFETIME_DECREASE` times as many steps. If lists are still valid at the end of their expected lifetime, this
-lifetime grows by the factor `LIFETIME_INCREASE`."""
+to last `LIFETIME_DECREASE` times as many steps as these lists did. If lists are still valid at the end of their
+expected lifetime, this lifetime grows by the factor `LIFETIME_INCREASE`."""
 SHARED_REBUILD_AGE = 0.6
 """Minimum age at which the neighbour lists of a scene are rebuilt early, as a fraction of their expected lifetime.
 
@@ -107,9 +107,9 @@ class LaunchPlanner:
         the rebuild of one scene. A GPU therefore also rebuilds those scenes whose lists will soon be stale. `among`
         contains the indices of the running scenes, and `flags` contains the control flags of all scenes.
 
-        `sort_every` contains, for each scene, the number of steps between two re-sortings of its bodies, 0 without
-        them. After a re-sorting step, lists are stale although they could be used longer. Such a scene is rebuilt too,
-        but the age of its lists is not used to predict when its next lists will be stale.
+        `sort_every` contains, for each scene, the number of steps between two re-sortings of its bodies, or 0 for no
+        re-sorting. After a re-sorting step, lists are stale although they could be used longer. Such a scene is rebuilt
+        too, but the age of its lists is not used to predict when its next lists will be stale.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NO_SCENES

@@ -17,7 +17,8 @@ from .struct_types import Links
 
 
 def make_even(states: list[State]) -> None:
-    """Make the length of all pair arrays even, because one link represents two entries of the neighbour list."""
+    """Make the lengths of the pair arrays of all `states` even, because one link represents two entries of these
+    arrays."""
     for state in states:
         for name in pair_bytes(state.model):
             array: DeviceArray = getattr(state.pairs, name)

@@ -109,7 +109,7 @@ class NeighborLists:
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
-        """Return the number of GPU threads that search around each sphere if `spheres` spheres need new lists."""
+        """Return the number of GPU threads that search around each sphere in a rebuild for `spheres` spheres."""
         return OCTANTS if self.batch.parallel and spheres < MANY_SPHERES else 1
 
     def __call__(self) -> None:

@@ -1,4 +1,5 @@
-"""Phases of a rebuild of the neighbour lists: recorded launches in one fixed order, for the host and CUDA graphs."""
+"""Phases of a rebuild of the neighbour lists: launches recorded in one fixed order, which the host and CUDA graphs
+use."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ from .own import check_class, made_functions
 PACKAGE = __name__.rpartition(".")[0]
 """Name of the package that contains the contact laws of warpcrete."""
 RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "plastic_viscosity")
-"""Names of the parameters of all contact laws that determine the resistance to sliding and rolling."""
+"""Names of all parameters, in any contact law, that determine the resistance to sliding and rolling."""
 
 
 @dataclass(frozen=True)

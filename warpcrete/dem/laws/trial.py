@@ -49,7 +49,8 @@ NORMAL, ALONG = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
 STIFFNESSES = (("k_n", "N/m"), ("k_s", "N/m"), ("c_n", "N s/m"), ("c_s", "N s/m"))
 """Names and units of the four values that `stiffness` returns."""
 STRESS_FACTOR = 30.0
-"""Factor by which `stress_scale` may be larger or smaller than the stress of the law in a deep contact."""
+"""Factor by which `stress_scale` may be larger or smaller than F / d^2, where F is the force of the law at the overlap
+d between two spheres of diameter d."""
 
 
 @dataclass(frozen=True)

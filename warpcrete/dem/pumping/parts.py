@@ -172,7 +172,8 @@ class Course:
 
     @property
     def advance(self) -> float:
-        """Distance [m] by which the front of the concrete moves during the piston's travel, at constant volume."""
+        """Distance [m] by which the front of the concrete moves during the piston's travel if the concrete keeps its
+        volume."""
         return self.travel * float(self.bores.at(0.0) / self.bores.at(self.axis.length)) ** 2
 
 

@@ -41,7 +41,8 @@ class ClumpTemplate:
 
     @property
     def widths(self) -> np.ndarray:
-        """Sides of the bounding box in principal axes, divided by the diameter of the sphere of equal volume."""
+        """Sides of the bounding box in principal axes, divided by the diameter of the sphere of equal volume, shape
+        (3,)."""
         return np.max(self.offsets + self.radii[:, None], 0) - np.min(self.offsets - self.radii[:, None], 0)
 
     @property
