@@ -43,7 +43,7 @@ def scene(parameters: FunnelElements) -> Scene:
     """Model a V-funnel full of grains whose lower end opens at once; measure the time until light shines through.
 
     Light shines through when the grains in the funnel, seen from above, cover less than half of the outlet. The trap
-    door falls away at 5 m/s, and the grains that have left lie on a floor 0.3 m below.
+    door falls away at 5 m/s, and the grains that have left the funnel lie on a floor 0.3 m below.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -129,7 +129,7 @@ def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
     Their centres lie one bar diameter behind the coordinate x = `place` [m]. A bar on the plane of symmetry is yielded
     whole.
     """
-    # Import trimesh only here, because this takes half a second, which runs without bars need not spend.
+    # Import trimesh only here, because the import takes half a second, and only bars need it.
     import trimesh
 
     pitch = GAPS[given.bars] + given.bar_diameter

@@ -59,8 +59,8 @@ def _at_rest(k: Outcome, place: int) -> float | None:
 def _yield_stress(k: Outcome) -> float | None:
     """Return the yield stress [Pa] that follows from the length over which the concrete has spread.
 
-    The result is None if the concrete would rest deeper than its column, if it has reached the far end, or if its
-    weight is not known.
+    The result is None if the concrete is still within the length of its column, if it has reached the far end, if its
+    weight is not known, or if it would rest deeper than its column.
     """
     reach = k.last("front")
     if not k.size["column_length"] < reach <= k.size["length"] - AT_THE_END or not k.density * k.whole:

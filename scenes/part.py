@@ -111,8 +111,8 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
 
 
 NARROW_CELLS = 11
-"""Minimum number of cells across the narrowest section for which the computed friction there deviates little from
-theory. In a cone from 100 to 80 mm it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
+"""Minimum number of cells across the narrowest section for which the friction computed in this section deviates little
+from theory. In a cone from 100 to 80 mm, it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
 
 
 @scene_function(PartParameters)

@@ -47,8 +47,8 @@ MIN_AGGREGATES = 30
 MAX_LEAK = 0.01
 """Maximum fraction of the aggregates that may slip past the plug of balls at the front end of the concrete."""
 PAUSE_LEFT_AT_REST = 0.05
-"""Fraction of the piston's last pause that is still left when the concrete's long rest is applied. In this rest the
-yield stress grows, but the simulation takes no time steps."""
+"""Remaining fraction of the piston's last pause when the concrete's long rest is applied. In this rest the yield stress
+grows, but the simulation takes no time steps."""
 SLICES, MAX_SLICES = 2.0, 1000
 """Resolution of the plot of the stress along the pipe, in recordings.
 

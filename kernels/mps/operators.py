@@ -118,9 +118,9 @@ def other_wall_law_function(scalar, dimensions: int, slip_law: str):
 def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip_law: str = BINGHAM):
     """Build the kernel that sets up the implicit solve for the velocities.
 
-    The forces per volume at the known velocities are stored as the residual with which the solve starts. The matrix
-    contains the forces that act implicitly: inertia, viscosity and the slip layer's resistance. The pressure gradient
-    and gravity act explicitly, so they are part of the residual only.
+    The forces per volume at the velocities before the solve are stored as the residual with which the solve starts. The
+    matrix contains the forces that act implicitly: inertia, viscosity and the slip layer's resistance. The pressure
+    gradient and gravity act explicitly, so they are part of the residual only.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)

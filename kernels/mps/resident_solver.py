@@ -2,7 +2,7 @@
 
 The rows of the matrix are divided into chunks with as many rows as a block has threads. Each block processes several
 chunks, and each chunk forms one partial sum. Sums therefore have the same bits however many blocks there are. A flow
-may use many blocks while it runs alone, and few while it shares the GPU.
+may use many blocks while no other flow runs, and few while it shares the GPU.
 
 Iterations need no launches by the host, so the solves of many flows can run at the same time. A small system gets a
 single wide block, which needs no barrier and no partial sums. `conjugate_gradient.py` explains the rows of the matrix.

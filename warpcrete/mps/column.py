@@ -123,7 +123,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         """Return the values that these parameters take from the file of the concrete, by name.
 
         They are the flow constants and, for a flow with two phases, the parameters of the aggregate. A run's record
-        keeps these values, so that they stay known if the file changes later.
+        keeps these values, so that the run can be repeated even if the file changes later.
         """
         return {**file_constants(values), **file_aggregates(values)}
 

@@ -51,8 +51,8 @@ class FlowDisplay(Display):
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
         if x.shape[1] == 2:
-            # An axisymmetric flow has only radius and height as coordinates. Draw each particle at its own angle about
-            # the axis.
+            # An axisymmetric flow has only radius and height as coordinates. Draw each particle at a different
+            # angle about the axis.
             angle = GOLDEN_ANGLE * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x

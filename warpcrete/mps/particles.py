@@ -112,7 +112,7 @@ class MovingParticles(Stepping):
         """Return the coarse grid of cubes that preconditions the linear solves, or None if it would save no time.
 
         The result is None for flows with rigid grains, which are larger than the cubes. It is also None for short
-        columns of concrete, whose linear solves take no longer with the diagonal preconditioner alone.
+        columns of concrete, for which the diagonal preconditioner is as fast.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:

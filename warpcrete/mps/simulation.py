@@ -102,7 +102,7 @@ class FluidSimulation(FlowRun):
         return "kg/s" if column == "momentum" and self.scene.dimensions == 2 else super().unit(column)
 
     def place_flow(self) -> MovingParticles | GridFlow:
-        """Return the flow at its start: a grid with particles for a periodic pipe, else particles alone."""
+        """Return the flow at its start: a grid with particles for a periodic pipe, else particles only."""
         if self._periodic:
             check_memory(pipe_cells(self.scene), self.device, self.precision)
             return GridFlow(

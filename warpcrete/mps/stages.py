@@ -58,7 +58,7 @@ class StepPart:
     """Stages of a time step for one thread.
 
     The particles are divided into one range for each thread. `parts` are the numbers of the ranges that this thread
-    works on: one range, or all ranges if this thread does the whole step alone. The part with range 0 also does the
+    works on: one range, or all ranges if there is only one thread. The part with range 0 also does the
     work that is not divided.
     """
 
@@ -97,7 +97,7 @@ class StepPart:
         return [*found, *self.barrier_stages]
 
     def by_first_thread(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
-        """Return stages in which the first thread alone runs a kernel, followed by a barrier of all threads."""
+        """Return stages in which only the first thread runs a kernel, followed by a barrier of all threads."""
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier_stages]
 
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:

@@ -23,7 +23,7 @@ DENSITY_REACH = 3.1
 
 
 class FluidState:
-    """State of a flow of particles alone: the arrays that change in a run, and constants of the initial layout.
+    """State of a flow computed with particles only: arrays that change in a run, and constants of the initial layout.
 
     The arrays of particles have one entry per fluid particle, in an order that never changes. The structs `Particles`
     and `Grains` in `kernels/mps/structs.py` give meaning, unit and shape of the arrays.

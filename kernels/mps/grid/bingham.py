@@ -2,7 +2,7 @@
 
 In a pipe, the stress varies linearly from the axis to the wall. The mean velocity of a cell is therefore an integral of
 the shear rate over the stress, which has a closed form for this law. Some layers, at a wall or beside a plug, are
-thinner than a cell. With the closed form, the velocity is as accurate as the stress even there.
+thinner than a cell. With the closed form, the velocity is as accurate as the stress even in such layers.
 """
 
 import functools

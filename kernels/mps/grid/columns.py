@@ -22,7 +22,7 @@ space holds about eight particles."""
 
 
 def column_count(dimensions: int) -> int:
-    """Return the number of columns: one for the mass, others for position, velocity and velocity gradient."""
+    """Return the number of columns: one for the mass, and one per component of position, velocity and gradient."""
     return 1 + 2 * dimensions + dimensions**2
 
 

@@ -62,8 +62,8 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `rates` and `viscosity`, which compute the apparent viscosity of cells and then of edges.
 
     Both kernels use the magnitude of the whole strain rate tensor. On the staggered grid, shear is defined at edges and
-    stretch in cells; components that are not defined at a place are averaged over the four nearest places that have
-    them.
+    stretch in cells; a component that is not defined at an edge or in a cell is averaged over the four nearest
+    points at which it is defined.
     """
     dims, pairs = of.dimensions, of.pairs
     Grid = grid_parameters_struct(scalar, dims)
@@ -237,9 +237,9 @@ def store_coefficient_function(scalar, serial: bool, of: GridKind):
 def momentum_kernel(scalar, serial: bool, of: GridKind):
     """Build the kernel that sets up the implicit solve for the velocities of the faces, with one task per cell.
 
-    The forces on each face at the known velocities are stored as the residual with which the solve starts. The matrix
-    has a row for each face. It contains the forces that act implicitly: inertia, viscosity and the friction of walls.
-    Pressure, weight and driving force act explicitly, so they are part of the residual only.
+    The forces on each face at the velocities before the solve are stored as the residual with which the solve starts.
+    The matrix has a row for each face. It contains the forces that act implicitly: inertia, viscosity and the friction
+    of walls. Pressure, weight and driving force act explicitly, so they are part of the residual only.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

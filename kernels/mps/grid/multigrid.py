@@ -7,8 +7,8 @@ each on all rows of a level:
 - RESTRICT sets the right-hand side of each row of the next coarser level to the sum of its finer rows' residuals.
 - PROLONG adds the solution of the next coarser level, multiplied by OVERCORRECTION, to the finer rows.
 
-The preconditioner is symmetric, because smoothing before and after a visit of the coarser level is the same. The first
-thread or block alone processes levels with few rows, so that these levels need no barriers.
+The preconditioner is symmetric, because smoothing before and after a visit of the coarser level is the same. Only the
+first thread or block processes levels with few rows, so that these levels need no barriers.
 """
 
 import functools
@@ -33,8 +33,8 @@ A coarse correction is constant over groups of cells and jumps between them. The
 minimises the energy norm of the error yields a correction that is too small (Braess 1995). The factor enlarges it.
 """
 FEW = {"cpu": 256, "gpu": 256}
-"""Largest number of rows of a coarser level for which the first thread (CPU) or block (GPU) processes the level alone,
-so that the level needs no barriers."""
+"""Largest number of rows of a coarser level that only the first thread (CPU) or block (GPU) processes, so that the
+level needs no barriers."""
 
 
 FAMILY_SUM = """

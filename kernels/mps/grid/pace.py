@@ -37,9 +37,9 @@ from .cells import (
 COURANT = wp.constant(wp.float64(1.0))
 """Maximum number of cells that the fastest concrete crosses in a step (Courant number)."""
 LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
-"""Limits of the ratio between successive time steps. A wanted step is at most LONGER times as long as the step that was
-wanted before. If the error of a step was too large, the next step is shorter, but at least SHORTER times as long. The
-Courant number may shorten it further."""
+"""Limits of the ratio between successive time steps. A step may be at most LONGER times as long as the length that was
+allowed for the previous step. If the error of a step was too large, the next step is shorter, but at least SHORTER
+times as long. The Courant number may shorten it further."""
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
 """Shortest allowed time step, divided by the longest allowed one."""

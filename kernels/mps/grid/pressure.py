@@ -250,7 +250,7 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     """Build the kernels that keep the mean velocity along a periodic pipe constant.
 
-    `deficit` computes the wanted minus the present mean velocity; on a GPU, `sums` and `deficit_of_sums` do this.
+    `deficit` computes the prescribed minus the current mean velocity; on a GPU, `sums` and `deficit_of_sums` do this.
     `correct` adds this difference to the velocity of all faces, which is equivalent to a uniform force. This force and
     the resulting increase of wall friction are added to the driving force of the next step.
     """

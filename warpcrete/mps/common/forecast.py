@@ -22,7 +22,7 @@ from ...theory.pipe import Concrete
 from .run import FlowRun
 
 TIMING_TIME = 1.0  # Minimum wall time over which steps are timed for a forecast [s].
-TIMED_STEPS = 10  # Maximum number of steps that are timed together.
+TIMED_STEPS = 10  # Maximum number of steps that are timed in one measurement.
 COPY_TIME = 30.0  # Maximum wall time of the run of a coarser copy, without compilation [s].
 
 
@@ -62,8 +62,8 @@ def flow_forecast(
         return simulation
 
     scene = (loading := begun()).scene
-    # Time several steps together, but no more steps than a run takes between two measurements of the flow. Time slow
-    # steps one by one, so that the forecast itself stays short.
+    # Time several steps in one measurement, but no more steps than a run takes between two measurements of the flow.
+    # Time slow steps one by one, so that the forecast itself stays short.
     loading.flow.take(1)  # The first step loads the kernels. It is taken here, so that the loading is not timed.
     count = max(1, min(round(scene.sample_interval / scene.time_step), _steps_at_once(loading.flow)))
     loading.flow.take(count)
@@ -157,7 +157,7 @@ def step_time(simulation: Any) -> float:
 
 
 def _steps_at_once(flow: Any) -> int:
-    """Return how many steps to time together: as many as fit into `TIMING_TIME`, at least 1, at most `TIMED_STEPS`."""
+    """Return how many steps to time in one measurement: as many as `TIMING_TIME` allows, from 1 to `TIMED_STEPS`."""
     _, once = timed(lambda: flow.take(1), flow.device)
     return max(1, min(TIMED_STEPS, int(TIMING_TIME / max(once, 1e-9))))
 

@@ -46,7 +46,7 @@ ConcreteName = Annotated[
     FileIf(is_file),
     Suggests(concrete_names),
 ]
-"""Type of the parameter `concrete`. A scene may declare the parameter again with a default of its own."""
+"""Type of the parameter `concrete`. A scene may declare the parameter again with another default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ class ConcreteParameters:
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
-    """Return the concrete with a given name or file path; the name `own` means that `constants` state everything.
+    """Return the concrete called `name`: a shipped one, one from a file, or `own` with all values in `constants`.
 
     Values in `constants` replace the constants of the named concrete, and factors among them multiply the result
     (:func:`scaled`). `slip_thickness` is the thickness of the slip layer [m]. If it is above 0 and `constants` has no

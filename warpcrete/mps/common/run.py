@@ -1,4 +1,4 @@
-"""Base class for runs of flows that are computed with particles alone or with particles and a grid."""
+"""Base class for runs of flows that are computed with particles only, or with particles and a grid."""
 
 import math
 import time as wall_clock

@@ -192,7 +192,7 @@ class Stepping(ABC):
 
 
 class _Run:
-    """Simulation that runs at the same time as others, on a CUDA stream of its own."""
+    """One of several simulations that run at the same time, each on a separate CUDA stream."""
 
     def __init__(self, simulation: Any, checkpoint: Path | None) -> None:
         self.simulation, self.checkpoint = simulation, checkpoint

@@ -97,7 +97,7 @@ class FreeDisplay(GridDisplay):
         return "shear rate [1/s]", 0.0, rounded_up(SHOWN_SHEAR * rate)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return plots over time: shape and speed of the concrete, or the concrete left in a funnel and its speed."""
+        """Return plots over time: shape and speed of the concrete, or the amount in a funnel and its speed."""
         word = "spread" if self.simulation.scene.about_axis else "position of the front"
         test = self.simulation.scene.test
         if test and test.outflow:

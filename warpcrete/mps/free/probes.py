@@ -156,7 +156,7 @@ def specimen(flow: GridFlow) -> Specimen:
         top=lambda radius: top,
         spread=lambda: 2 * far if flow.scene.about_axis else far,
         height_around=lambda inner, outer: float(np.mean(height[(across >= inner) & (across <= outer)])),
-        # Concrete clings to the vertical walls of a vessel and stands higher there. The median ignores these few
+        # Concrete clings to the vertical walls of a vessel and stands higher at them. The median ignores these few
         # heights.
         depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
         front=lambda: float(across[height > 0.5 * layout.spacing].max(initial=0.0)) + 0.5 * layout.spacing,

@@ -31,8 +31,8 @@ def distances_from(distance: Distance, points: np.ndarray) -> np.ndarray:
     """Return the distances of points from a wall [m], with the shape of `points` without its last axis.
 
     `points` has the shape (..., axes). If it holds the points of a grid, and the wall looks the same everywhere along
-    an axis, the distance is computed at one place along this axis only. The result then has the length 1 along this
-    axis.
+    an axis, the distance is computed for a single coordinate along this axis. The result then has the length 1 along
+    this axis.
     """
     axes = points.shape[-1]
     if isinstance(distance, CylindricalDistance) and points.ndim == axes + 1:

@@ -117,7 +117,7 @@ class GridFlow(Stepping):
 
     @property
     def dispersion_threshold(self) -> wp.array:
-        """Norm of the residual at which the solve that moves particles apart stops, shape (1,)."""
+        """Norm of the residual at which the solve that disperses crowded particles stops, shape (1,)."""
         return self._no_threshold if self.dispersion is None else self.dispersion.arrays.stop_norm
 
     @property

@@ -2,7 +2,7 @@
 
 Walls may pass through cells (cut cells). The signed distance of the walls at the corners of a cell is interpolated
 linearly. It gives the fractions of the cell's volume and faces that are open to the flow (Ng, Min & Gibou 2009). The
-open fraction around the edges of the cell weights the shear there (Batty & Bridson 2008).
+shear at an edge of a cell is weighted with the open fraction around this edge (Batty & Bridson 2008).
 """
 
 from collections.abc import Callable, Sequence
@@ -352,8 +352,8 @@ def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
 def _open_fraction(corners: np.ndarray, ends: int, least: float = 0.0) -> np.ndarray:
     """Return the fraction of each cell in which a field is positive, as :func:`_positive_fraction` computes it.
 
-    The computation is needed only for cells in which the field changes its sign; results below `least` are raised to
-    `least` there. In all other cells the fraction is 0 or 1.
+    The computation is needed only for cells in which the field changes its sign; in these cells,
+    the result is at least `least`. In all other cells the fraction is 0 or 1.
     """
     inner = tuple(range(-ends, 0))
     low = corners.min(inner)

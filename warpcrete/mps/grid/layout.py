@@ -69,7 +69,7 @@ class GridLayout:
     inlet: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     """Positions at which particles that have left the grid enter again [m], shape (n, axes).
 
-    If the array is empty, particles that have left are gone for good.
+    If the array is empty, particles that have left do not enter again.
     """
     gained: float = 0.0
     """Increase of the yield stresses of bulk and slip layer during a rest before the start [Pa]."""
@@ -143,7 +143,7 @@ class GridLayout:
 
 @dataclass(frozen=True)
 class Motion:
-    """Rigid motion of a wall. Its velocity acts on the concrete, but the wall itself stays at its place on the grid."""
+    """Rigid motion of a wall. Its velocity acts on the concrete, but its position on the grid does not change."""
 
     velocity: tuple[float, ...]
     """Velocity of the wall [m/s]."""

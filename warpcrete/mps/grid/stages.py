@@ -3,7 +3,7 @@
 1. Sort particles into cells, compute how full the cells are, and transfer velocities from particles to faces.
 2. Compute shear rates, apparent viscosities and wall friction, and solve for the velocities.
 3. Solve for the pressure increment, and remove the divergence of the velocities.
-4. Adapt the driving force, measure the speed, break the thixotropic structure, and move crowded particles apart.
+4. Adapt the driving force, measure the speed, break the thixotropic structure, and disperse crowded particles.
 5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
 """
 
@@ -33,7 +33,7 @@ from .systems import CHUNKS, System
 
 # Number of layers of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 EXTRAPOLATED_CELLS = 3
-# Two tolerances of the solve that moves crowded particles apart. The first tolerance is a fraction of the initial
+# Two tolerances of the solve that disperses crowded particles. The first tolerance is a fraction of the initial
 # residual. The second tolerance is a fraction of the residual that arises if every cell must lose its whole volume in
 # one step.
 DISPERSION_TOLERANCES = 0.1, 1e-5
@@ -118,7 +118,7 @@ class GridStep:
         return self._shared(kernel, self.slots, **named)
 
     def _alone(self, kernel: Any, tasks: int, **named: Any) -> list[Stage]:
-        """Return stages in which the first thread alone runs a kernel while the others wait."""
+        """Return stages in which only the first thread runs a kernel while all other threads wait."""
         return [*([self.flow.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier]
 
     # The following methods return stages of a step.

@@ -105,7 +105,7 @@ class PartDisplay(GridDisplay):
         )),)  # fmt: skip
 
     def _friction_ahead(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m] and, for each, the frictional pressure loss from there to the end of the part [Pa]."""
+        """Return arc lengths [m], and the frictional pressure loss from each of them to the end of the part [Pa]."""
         return self.snapshot_value("friction ahead", lambda: friction_ahead(self.simulation.flow))
 
     def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
@@ -119,7 +119,7 @@ class PartDisplay(GridDisplay):
 
     @cached_property
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and, for each, the theoretical frictional loss from there to the end [Pa].
+        """Arc lengths [m], and the theoretical frictional loss from each of them to the end [Pa].
 
         The loss is computed for straight pipes with the bores of the part.
         """

@@ -108,8 +108,8 @@ def bore_distance(scene: PartScene) -> Distance:
 def inlet_distance(scene: PartScene) -> Distance:
     """Return a function of grid points that gives their distance from the plane through which concrete enters [m].
 
-    The distance is positive on the side of the pipe. Away from the pipe it is large, because the plane does not extend
-    there.
+    The distance is positive on the side of the pipe. The plane is a disc around the pipe's axis; beside the disc, the
+    function returns a large distance.
     """
     frame = Frame(scene)
     start, tangent = (a[0] for a in scene.axis.at(0.0))

@@ -13,7 +13,7 @@ from .scene import PartScene
 def plot_part(run: Run) -> Any:
     """Return a figure of the frictional pressure along the part of the pump line, and of the pressure over time.
 
-    The frictional pressure at a place is the loss between this place and the end of the part. The theoretical
+    The frictional pressure at an arc length is the loss from this arc length to the end of the part. The theoretical
     frictional pressure of straight pipes is drawn for comparison.
     """
     scene = run.scene

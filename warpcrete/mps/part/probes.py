@@ -84,10 +84,10 @@ def _deviatoric_stress(flow: GridFlow, liquid: np.ndarray, s: np.ndarray) -> np.
 
 
 def _slope(values: np.ndarray, known: np.ndarray, axis: int) -> np.ndarray:
-    """Return half the difference between the values of each cell's upper and lower neighbours along an array axis.
+    """Return the change of a field per cell along an array axis: the mean of the changes from and to the neighbours.
 
-    Cells whose value is not `known` are left out: if one neighbour is unknown, the result is the difference between the
-    cell and its other neighbour, and if both are unknown, the result is 0.
+    `known` is the mask of the cells with valid `values`. A change between two cells is used only if both values are
+    valid. If a cell has no valid change, the result is 0.
     """
     total, count = np.zeros_like(values), np.zeros_like(values)
     low, high = (tuple(cut if k == axis else slice(None) for k in range(values.ndim))

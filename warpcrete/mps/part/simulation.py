@@ -56,8 +56,8 @@ class PartSimulation(FlowRun):
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
             return False
-        # Subtract the hydrostatic pressure, which does not depend on the flow, so that the relative change of the
-        # frictional pressure alone is tested.
+        # Subtract the hydrostatic pressure, which does not depend on the flow, so that only the relative
+        # change of the frictional pressure is tested.
         weight = scene.density * scene.gravity * scene.rise
         now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)
