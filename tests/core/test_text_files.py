@@ -66,7 +66,7 @@ BAD = {
     "- 1\n": "contains a list instead of 'key: value' lines",
     "": "contains nothing",
     "12": "contains a number",
-    b"a: \xff\n": "line 1: is not UTF-8 text; save it as UTF-8",
+    b"a: \xff\n": "line 1: is not UTF-8 text; save the file as UTF-8",
     b"a: 1\n\xfc: 2\n": "line 2: is not UTF-8 text",
     "a: 1".encode("utf-16"): "is not UTF-8 text",
     b"a: 1\n\x00\n": "line 2: contains a NUL character",

@@ -70,8 +70,8 @@ def test_a_slump_replaces_the_concrete_of_a_file():
     ("words", "says"),
     [
         ([], "line: is missing; give its file, or a straight line as --diameter '125 mm'"),
-        (["--diameter", "5 in"], "length: is missing; a line without a file needs it"),
-        (["--length", "5 m"], "diameter: is missing; a line without a file needs it"),
+        (["--diameter", "5 in"], "length: is missing; a line without a file needs --length"),
+        (["--length", "5 m"], "diameter: is missing; a line without a file needs --diameter"),
         (["--concrete", "no1", "--diameter", "125mm", "--length", "190m"], "flow: is missing; set it in the file"),
         (
             ["--slump", "18cm", "--diameter", "125mm", "--length", "9m", "--rest", "5 min"],

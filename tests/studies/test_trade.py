@@ -193,7 +193,7 @@ def test_the_command(tmp_path):
         (("trade", "chanel"), "scene = 'chanel': must be one of"),
         (("trade", "channel", "--spacing", "0.01", "0.02"), "must be a single value"),
         (("trade", "--resume", tmp_path), "is not the folder of a trade"),
-        (("trade", "channel", "--resume", tmp_path / "t"), "continues with its own settings"),
+        (("trade", "channel", "--resume", tmp_path / "t"), "continues with the settings with which it began"),
     ):
         done = command(*words)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1

@@ -54,8 +54,8 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
     strange = [name for name in settings if name not in (*CHANGEABLE_SETTINGS, "progress")]
     if targets is not None or strange:
         raise click.UsageError(
-            f"resume = '{folder}': a calibration continues with its own settings, and only "
-            f"{', '.join(f'--{name}' for name in CHANGEABLE_SETTINGS)} can be changed; leave out everything else"
+            f"resume = '{folder}': a calibration continues with the settings with which it began, and "
+            f"only {', '.join(f'--{name}' for name in CHANGEABLE_SETTINGS)} can be changed; leave out everything else"
         )
     if not (folder / RECORD).is_file():
         raise RunFolderError(

@@ -122,7 +122,7 @@ def _straight(settings: Mapping[str, Any]) -> PipeLine:
     diameter, length = _amount("diameter", settings, "m"), _amount("length", settings, "m")
     for name, value in (("diameter", diameter), ("length", length)):
         if value is None:
-            raise click.UsageError(f"{name}: is missing; a line without a file needs it, as in {EXAMPLE}")
+            raise click.UsageError(f"{name}: is missing; a line without a file needs --{name}, as in {EXAMPLE}")
     assert diameter is not None and length is not None
     rise = 0.0
     if settings["rise"] is not None:

@@ -187,7 +187,7 @@ def run_options() -> list[click.Parameter]:
         click.Option(["--checkpoint-every"], type=AmountOption("s"), default=60.0, show_default=True,
                      help="Wall time between two checkpoints [s]; 0 writes none"),
         click.Option(["--resume"], type=click.Path(path_type=Path),
-                     help="Continue the interrupted run in this folder with its own settings"),
+                     help="Continue the interrupted run in this folder with the settings with which it began"),
         click.Option(["--quiet"], is_flag=True, help="Show no progress bar"),
         full_help_option(),
     ]  # fmt: skip

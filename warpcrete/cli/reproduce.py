@@ -1,4 +1,4 @@
-"""Command `warpcrete reproduce`: repeats the runs of a paper and compares the results."""
+"""Command `warpcrete reproduce`: repeats the runs of a paper and compares their results with the paper's results."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,8 +25,8 @@ def run(
         if resume is not None:
             if paper is not None or out is not None or device is not None or quick or seeds != 1 or only or known:
                 raise click.UsageError(
-                    f"resume = '{resume}': a reproduction continues with its own settings, and only --processes can be "
-                    "changed; leave out everything else"
+                    f"resume = '{resume}': a reproduction continues with the settings with which it began, and only "
+                    "--processes can be changed; leave out everything else"
                 )
             if not (resume / RECORD).is_file():
                 raise RunFolderError(

@@ -146,7 +146,8 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
         changed = [key for key in given if key not in ("resume", "quiet", "live", "bind")]
         if changed:
             raise click.UsageError(
-                f"resume = '{resume}': a run continues with its own settings; leave out {', '.join(changed)}"
+                f"resume = '{resume}': a run continues with the settings with which it began; leave out "
+                f"{', '.join(changed)}"
             )
         job.resume(resume, scenes(), live=settings["live"], bind=settings["bind"], quiet=settings["quiet"])
 

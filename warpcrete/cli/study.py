@@ -162,8 +162,8 @@ def _resumed(
     given = [n for n in settings if n not in ("resume", "quiet", *EXECUTION_SETTINGS) and settings[n]] + list(options)
     if scene is not None or given:
         raise click.UsageError(
-            f"resume = '{folder}': a study continues with its own settings; leave out the scene's name and all other "
-            "options"
+            f"resume = '{folder}': a study continues with the settings with which it began; leave out the scene's name "
+            "and all other options"
         )
     return resume_study(
         folder, recorded_module(folder, "study", modules), progress=tell, **_execution_settings(settings)

@@ -68,8 +68,8 @@ def _resumed(
     folder = settings.pop("resume")
     if scene is not None or settings or rest:
         raise click.UsageError(
-            f"resume = '{folder}': a trade continues with its own settings, and only --budget, --scheduler and "
-            "--workers can be changed; leave out everything else"
+            f"resume = '{folder}': a trade-off study continues with the settings with which it began, and only "
+            "--budget, --scheduler and --workers can be changed; leave out everything else"
         )
     return resume_trade(folder, recorded_module(folder, "trade", modules), **anew)
 

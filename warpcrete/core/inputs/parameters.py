@@ -227,7 +227,7 @@ class Field:
             hint = f"write a number in{self.unit}" if self.kind is float and self.unit else ""
             refuse(name, value, f"must be {words}{' or None' if self.optional else ''}", hint)
         if isinstance(value, str) and "\0" in value:
-            refuse(name, value, "contains a NUL character", "remove it")
+            refuse(name, value, "contains a NUL character", "remove this character")
         if isinstance(value, str) and any(rule.test(value) for rule in self.of_kind(FileIf)):
             return os.path.realpath(value)
         return value

@@ -164,7 +164,7 @@ def _text(path: Path, most: int) -> str:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise Unreadable("is not UTF-8 text", "save it as UTF-8", line) from error
+        raise Unreadable("is not UTF-8 text", "save the file as UTF-8", line) from error
     if "\0" in text:
         raise Unreadable(
             "contains a NUL character", "check that it is a text file", text.count("\n", 0, text.index("\0")) + 1

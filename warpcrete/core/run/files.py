@@ -141,7 +141,7 @@ def folder_path(field: str, value: object) -> Path:
     if not isinstance(path, str):
         refuse(field, cast(object, value), "must be the path of a folder, as text or a pathlib.Path")
     if "\0" in path:
-        refuse(field, path, "contains a NUL character", "remove it")
+        refuse(field, path, "contains a NUL character", "remove this character")
     return Path(path)
 
 
