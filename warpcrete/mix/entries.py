@@ -81,7 +81,7 @@ OTHER_NAMES = {
     **dict.fromkeys(("unit weight", "bulk density"), "density"),
 }  # fmt: skip
 """Wrong names that users may write for entries of a mix, each mapped to the correct name, which the error message
-states. All are in lower case, with single spaces between words."""
+states. The wrong names are in lower case, with single spaces between words."""
 TOTALS = ("total", "sum", "total mass", "total weight", "batch weight", "total batch weight", "batch total")
 """Names under which delivery notes state the sum of all ingredients."""
 GRAVEL = 2650.0

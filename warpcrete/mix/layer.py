@@ -25,10 +25,10 @@ same recipe. Deliveries differ by 15 % on a single site (Mai et al. 2014), and b
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the powder's densest packing.
 
-They were chosen with pressures measured in level pump lines of 325 to 1,044 m with concretes of nine families
-(water-binder ratios of 0.17 to 0.44). Other measurements were reserved for tests. Predicted and measured friction
-differ by a factor of 1.33 (root mean square). The best fit, about 150 Pa s/m and 0.95, would reduce this factor only to
-1.31; many pairs of constants fit almost equally well.
+They were chosen with frictions in level pump lines of 325 to 1,044 m for concretes of nine families (water-binder
+ratios of 0.17 to 0.44), which a published statistical model of pumped concretes gives. Other families were reserved for
+tests. The predicted frictions differ from these values by a factor of 1.33 (root mean square). The best fit, about 150
+Pa s/m and 0.95, would reduce this factor only to 1.31; many pairs of constants fit almost equally well.
 """
 PASTE_ERROR_FACTOR = 1.7
 """Factor by which the true viscosity of a slip layer may be smaller or larger than the result of :func:`paste_layer`.

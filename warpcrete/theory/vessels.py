@@ -75,8 +75,8 @@ def heap_at_rest(
 ) -> tuple[float, float]:
     """Return the radius or half-width [m] and the central depth [m] of a heap of concrete that has come to rest.
 
-    The closed form counts the yield stress in shear and in stretching. It leaves out inertia and holds for heaps wider
-    than high. `volume` is the volume of the whole heap about an axis [m3], or in a plane the volume of one half per
+    The closed form leaves out inertia and holds for heaps wider than high. The yield stress resists both shear and
+    stretching. `volume` is the volume of the whole heap about an axis [m3], or in a plane the volume of one half per
     metre of depth [m2].
     """
     widest = 1.0

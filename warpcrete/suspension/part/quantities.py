@@ -109,7 +109,7 @@ hold for mortar without aggregates. Results of a blockage have the same names as
 
 
 def report_part(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield further lines of the report: the loss of each section, and whether aggregates blocked the pipe."""
+    """Yield lines of the report on a part: the loss of each section, and whether aggregates blocked the pipe."""
     yield from report(run)
     yield from aggregate_lines(run)
     if run.result.get("blocked"):

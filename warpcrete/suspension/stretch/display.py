@@ -42,7 +42,7 @@ class StretchDisplay(SphereDisplay):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane, which contains the axis or halves the depth."""
+        """Coordinate y [m] of the cutting plane, which contains the axis of a pipe or halves the depth of a channel."""
         return 0.5 * self._scene.depth
 
     @cached_property
