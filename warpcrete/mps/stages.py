@@ -58,8 +58,8 @@ class StepPart:
     """Stages of a time step for one thread.
 
     The particles are divided into one range for each thread. `parts` are the numbers of the ranges that this thread
-    works on: one range, or all ranges if there is only one thread. The part with range 0 also does the
-    work that is not divided.
+    works on: one range, or all ranges if this thread does the work of all threads. The part with range 0 also does
+    the work that is not divided.
     """
 
     def __init__(self, particles: Any, parts: range, barrier_stages: list[Stage]) -> None:

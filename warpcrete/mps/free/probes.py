@@ -24,7 +24,7 @@ UNITS = {
     MOST: "m/s",
 }
 """Units of the columns of the time series. The last column exists only for standard tests whose `slow_share` is below
-1. It holds the speed that this fraction of the concrete does not exceed."""
+1. It contains the speed that the fraction `slow_share` of the concrete does not exceed."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
