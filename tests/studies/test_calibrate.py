@@ -163,7 +163,7 @@ targets:
         (("scene: tube", "scene: [tube]"), "target 1 scene = ['tube']: must be one of"),
         (("2%", "1.2.3%"), "uncertainty = '1.2.3%'"),
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
-        (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; must be one of"),
+        (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not a result of the scene tube; must"),
         (("quantity: pressure, ", ""), "has no quantity; add the missing entries"),
         (("value: 12e3", "value: .nan"), "line 4: has .nan, which is not a finite number"),
         (("value: 12e3", "value: high"), "target 1 value = 'high'"),

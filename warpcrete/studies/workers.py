@@ -106,7 +106,9 @@ class WorkerPool:
                 worker.failed = True
                 none = all(each.failed for each in self._workers)
             if none:
-                raise NoWorker(f"no worker process can be started: {error}; the messages above say why") from error
+                raise NoWorker(
+                    f"no worker process can be started: {error}; the messages above state the reason"
+                ) from error
             raise
         try:
             worker.send(job)

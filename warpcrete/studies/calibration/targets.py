@@ -246,7 +246,7 @@ def _in_unit(called: str, given: Any, quantity: str) -> Any:
     """Convert a text such as "550 mm" to a number in the unit of `quantity`; return anything else unchanged."""
     units = {each.name: each.unit for method in METHODS for each in method.quantities}
     if isinstance(given, str) and quantity not in units:
-        refuse("quantity", quantity, "is not measured in any scene", known_names(quantity, units))
+        refuse("quantity", quantity, "is not a result of any scene", known_names(quantity, units))
     if isinstance(given, str) and units[quantity] in UNITS:
         return amount(called, given, units[quantity])
     return given
@@ -332,7 +332,12 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
                 raise SceneError(f"vary {free.name} = {[free.low, free.high]}: {target.label}: {error}") from error
     known: dict[str, Quantity] = {each.name: each for each in method_of(scene).quantities}
     if target.quantity not in known:
-        refuse("quantity", target.quantity, f"is not measured in {target.scene}", known_names(target.quantity, known))
+        refuse(
+            "quantity",
+            target.quantity,
+            f"is not a result of the scene {target.scene}",
+            known_names(target.quantity, known),
+        )
     unit = known[target.quantity].unit
     if unit in ("m", "s") and target.value < 0:
         problem = f"must be at least 0 {unit}"

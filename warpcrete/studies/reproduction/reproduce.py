@@ -127,7 +127,7 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     rows = [name for name in known if name in only and name not in columns]
     if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
         hint = f"combine {columns[0]!r} with one of {', '.join(rows_of(columns[0]))}"
-        refuse("only", list(only), "selects no runs, because the column has no results in this row", hint)
+        refuse("only", list(only), "selects no runs, because no named column has results in a named row", hint)
     return columns, rows
 
 

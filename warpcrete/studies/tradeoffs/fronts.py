@@ -136,7 +136,7 @@ def cheapest_within(
     """
     names = list(knobs)
     if math.prod(len(knobs[name]) for name in names) > limit:
-        raise ValueError(f"more than {limit} combinations")
+        raise ValueError(f"the knobs have more than {limit} combinations of levels")
     best: tuple[float, dict[str, int]] | None = None
     for choice in itertools.product(*(range(len(knobs[name])) for name in names)):
         pairs = [knobs[name][k] for name, k in zip(names, choice)]
