@@ -261,26 +261,26 @@ def whole(field: str, value: object, lower: int, upper: int | None = None) -> No
 
 
 def flag(field: str, value: object) -> None:
-    """Raise :class:`SceneError` unless `value` is True or False."""
+    """Raise :class:`SceneError` about `field` unless `value` is True or False."""
     if not isinstance(value, bool | np.bool_):
         refuse(field, value, "must be True or False")
 
 
 def callback(field: str, value: object) -> None:
-    """Raise :class:`SceneError` unless `value` is a function, or None or False for no function."""
+    """Raise :class:`SceneError` about `field` unless `value` is a function, or None or False for no function."""
     if value is not None and value is not False and not callable(value):
         refuse(field, value, "must be a function, or None")
 
 
 def one_of(field: str, value: object, choices: Iterable[object]) -> None:
-    """Raise :class:`SceneError` unless `value` is one of `choices`."""
+    """Raise :class:`SceneError` about `field` unless `value` is one of `choices`."""
     choices = list(choices)  # Search in a list, which works even if `value` is not hashable.
     if value not in choices:
         refuse(field, value, f"must be one of {', '.join(map(str, choices))}", suggested(value, choices))
 
 
 def vector(field: str, value: object) -> tuple[float, float, float]:
-    """Return three finite numbers as a tuple; raises :class:`SceneError` for any other value."""
+    """Return three finite numbers as a tuple; raises :class:`SceneError` about `field` for any other value."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):

@@ -164,7 +164,7 @@ class Bore:
         return cls(float(reach.min()), float(reach.max()), float(np.pi * np.mean(reach**2)))
 
     def is_round(self, radius: float) -> bool:
-        """Return whether a cylinder of `radius` [m] describes the bore accurately enough."""
+        """Return whether the wall deviates from a cylinder of `radius` [m] by at most `ROUNDNESS_TOLERANCE`."""
         return (
             self.smallest >= (1 - ROUNDNESS_TOLERANCE) * radius and self.largest <= (1 + ROUNDNESS_TOLERANCE) * radius
         )

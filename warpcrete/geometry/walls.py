@@ -171,7 +171,7 @@ class PlaneWall(_Wall):
 
     name: str
     point: tuple[float, float, float]
-    """A point (x, y, z) of the plane at the start [m]."""
+    """A point (x, y, z) of the plane at the start of the simulation [m]."""
     normal: tuple[float, float, float]
     """Normal (x, y, z) of the plane, of any length; it points to the material."""
     material: str = "wall"

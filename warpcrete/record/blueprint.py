@@ -28,7 +28,7 @@ CHAINS, CUT = "scene/network", "scene/cut"
 whole scene hides what is recorded under these paths."""
 PAINT_LEGEND = "legend_of_walls"
 FLAT = 1e-9
-"""Distance from the cutting plane up to which a vertex lies in this plane [m]."""
+"""Largest distance from the cutting plane at which a vertex counts as lying in this plane [m]."""
 Shown = tuple[str, list[str], "dict[str, Any] | None"]
 """Title, contents and overrides of a three-dimensional view. The contents are rules that include or exclude paths of
 the recording, and the overrides replace recorded values in this view only."""
@@ -191,7 +191,7 @@ def spheres_behind_cut(display: Display) -> np.ndarray | None:
 
 
 def cut_walls(display: Display) -> list[DrawnWall]:
-    """Return the parts of the fixed, transparent walls that lie behind the cutting plane."""
+    """Return the parts of the fixed, transparent walls that lie behind the cutting plane, as seen from the camera."""
     from trimesh.intersections import slice_faces_plane
 
     found = []

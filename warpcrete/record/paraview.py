@@ -179,7 +179,7 @@ class Poly:
         self._pending_frames = []
 
     def _begin(self, file: Any) -> Any:
-        """Create the empty, extendable datasets of the VTKHDF format, and return their group."""
+        """Create the empty, extendable datasets of the VTKHDF format, and return the HDF5 group that contains them."""
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array(VERSION, np.int64)
         root.attrs.create("Type", np.bytes_("PolyData"))

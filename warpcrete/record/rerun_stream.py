@@ -102,7 +102,7 @@ class RerunStream:
         self._open_sinks()
 
     def log(self, path: str, what: Any, static: bool = False) -> None:
-        """Record the data `what` under `path`; if `static` is true, they apply to all times."""
+        """Record the data `what` under `path`; if `static` is true, the data apply to all times."""
         try:
             self._recording.log(path, what, static=static)
         except RuntimeError as error:

@@ -177,7 +177,7 @@ class UsdRecorder(Recorder):
                 self._write()
 
     def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
-        """Return the time codes of the first and the last frame."""
+        """Return the USD time codes of the first and the last frame [ms], which a resumed run needs."""
         self._later.wait()
         return {"first": self._first, "last": self._last}
 

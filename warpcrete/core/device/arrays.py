@@ -75,7 +75,7 @@ if TYPE_CHECKING:
         ...
 
     def clone(src: DeviceArray) -> DeviceArray:
-        """Return a copy of an array on the same device."""
+        """Return a copy of the array `src` on the same device."""
         ...
 
     def copy_array(

@@ -164,7 +164,7 @@ def _plain_digits(text: str) -> str:
 
 
 def _parsed(text: str, unit: str) -> float:
-    """Return a text as a number in `unit`, or NaN if it is not an amount in that unit."""
+    """Return a text as a number in `unit`, or NaN if the text is not an amount in that unit."""
     text = text if text.isascii() else _plain_digits(text)
     forms = [pattern.fullmatch(text) for pattern in _compiled(unit)]
     if forms[0]:

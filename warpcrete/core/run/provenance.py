@@ -64,7 +64,7 @@ def processor_features() -> str:
 
 
 def _cpu_entry(name: str) -> str:
-    """Return the entry `name` of the first CPU in /proc/cpuinfo; empty if there is none."""
+    """Return the entry `name` of the first CPU in /proc/cpuinfo, or an empty text if there is no such entry."""
     try:
         lines = CPU_INFO.read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -115,7 +115,7 @@ def _family(bind: str) -> socket.AddressFamily:
 
 
 def _free_port(bind: str, wanted: int) -> int:
-    """Return the `wanted` port if it is free, else another free port."""
+    """Return the `wanted` port if it is free at the IP address `bind`, else another free port."""
     family = _family(bind)
     for port in (wanted, 0):
         with socket.socket(family) as probe:
