@@ -52,7 +52,7 @@ class RunFolder:
     pipeline: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(PIPELINE))
     """Values of the command's options for the pressure of a whole pipeline, stored in scene.json for a resumed run."""
     resumed: bool = False
-    """True if the settings come from the scene.json of the folder itself."""
+    """True if the settings come from the scene.json in this folder."""
 
     def __post_init__(self) -> None:
         if isinstance(self.recordings, str):

@@ -46,7 +46,7 @@ def _lock_collections() -> None:
     A collection that is running already does not hold the lock, so wait until it has ended.
 
     The lock is set up only when the first graph is captured, because it has a disadvantage: Python drops exceptions
-    inside the collector's callback, so a Ctrl-C that arrives there is lost.
+    inside the collector's callback, so a Ctrl-C that arrives during the callback is lost.
     """
     if _hold_lock_during_collection in gc.callbacks:
         return

@@ -85,11 +85,11 @@ def discard(path: Path) -> None:
 
 
 def read(path: Path, scene: object, device: wp.Device, precision: str) -> dict[str, Any]:
-    """Return the contents of the checkpoint at `path`, which must match the other arguments and the package versions.
+    """Return the contents of the checkpoint at `path`, which must belong to `scene` and to the installed versions.
 
-    Only the kind of the device (CPU or GPU) must match. Raises :class:`RunFolderError` with the reason if the file is
-    missing, damaged or does not match. A different processor only causes a warning, because results may then differ in
-    the last bits.
+    The `precision` and the kind of the device (CPU or GPU) must match, too. Raises :class:`RunFolderError` with the
+    reason if the file is missing, damaged or does not match. A different processor only causes a warning, because
+    results may then differ in the last bits.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -29,7 +29,7 @@ class Forecast:
     time_step: float
     """Expected size of the time steps [s]."""
     limits: Mapping[str, float]
-    """Largest time step that each limiting effect alone would allow [s], by the name of the effect."""
+    """Largest time step that each effect would allow if it were the only limit [s], by the name of the effect."""
     governing: str
     """Text that states why the time step is not longer: the name of the physical effect that limits it, or the
     parameter with which the user chose it."""
