@@ -3,7 +3,7 @@
 A pipe counts as blocked if three conditions hold:
 
 - A part of the concrete hardly moves although the piston advances.
-- This lasts longer than compression of the concrete behind that part can explain.
+- The part stands still for longer than the compression of the concrete behind it can explain.
 - The pressure rises.
 """
 

@@ -11,11 +11,11 @@ from ..scene.slices import FEWEST, Stations
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
     """Return the friction losses along a pipe, from a table of the stresses in slices (stations) along the pipe.
 
-    The weight of the concrete is subtracted. For a straight pipe, the losses are the pressure gradient [Pa/m] and the
-    wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both losses for the straight
-    section upstream of the middle and for the section downstream of it. Each loss follows from a straight line that is
-    fitted to the stresses in its section. The fit leaves out a length of one pipe radius at each end of the section. A
-    pipe with a middle has four more results:
+    The weight of the concrete under `gravity` [m/s2] is subtracted. For a straight pipe, the losses are the pressure
+    gradient [Pa/m] and the wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both
+    losses for the straight section upstream of the middle and for the section downstream of it. Each loss follows from
+    a straight line that is fitted to the stresses in its section. The fit leaves out a length of one pipe radius at
+    each end of the section. A pipe with a middle has four more results:
 
     - `middle_loss` [Pa] is the loss of axial stress in the middle, from the end of the upstream line to the beginning
       of the downstream line.

@@ -104,7 +104,7 @@ def stresses_along(
 
     The results differ from the first two columns of :func:`measured`, because the stress of each body is distributed
     evenly over the slices that its diameter overlaps. Slices that concrete does not fill are NaN. `travel` is the arc
-    length of the piston [m]. The other arguments hold one entry per body:
+    length of the piston [m]. The following arrays hold one entry per body:
 
     - `stress` (n, 6): stress times volume [J], as from :func:`body_stresses`,
     - `s` (n,): arc length [m],

@@ -364,7 +364,7 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
 
     Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed forms, slumps
     deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads deviate by less than 7 % at 100 to 200 Pa. At
-    1000 Pa a cone stands whole, where the closed form gives a slump of 78 mm.
+    1000 Pa a cone does not slump, where the closed form gives a slump of 78 mm.
     """
     slides, square, closes = shear_means()
     filled = 0.75 * CONTACTS * given.packed
@@ -385,7 +385,7 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
 
     The tension of the shells, in units of the yield stress, does not follow from properties of the concrete. It was
     chosen by trial simulations of a slump cone with a yield stress of 1000 Pa. With a tension of 2.5 the cone slumps by
-    120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm, and the implicit
+    120 mm, and with 3.5 it does not slump. For comparison, the closed form of a tall cone gives 78 mm, and the implicit
     material point method of the simulator Newton 1.8 gives 104 mm. Slumps at other yield stresses are predicted, not
     fitted.
     """

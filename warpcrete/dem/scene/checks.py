@@ -38,9 +38,10 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _finer(scene: Scene, error: float) -> str:
-    """Return a setting for a finer time step, with which the error becomes four fifths of the limit.
+    """Return the setting of a smaller time step that reduces the `error` to four fifths of the limit, for users.
 
-    The error is assumed to be proportional to the time step.
+    The error is assumed to be proportional to the time step. The text contains the option of the command and its
+    counterpart in Python.
     """
     factor = 0.8 * LARGEST_ENERGY_ERROR / error
     if scene.time_step.fixed is not None:

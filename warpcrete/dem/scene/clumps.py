@@ -171,7 +171,7 @@ def elongated(shape_factor: float) -> ClumpTemplate:
 
 @functools.cache
 def reference() -> tuple[ClumpTemplate, ...]:
-    """Return four aggregate shapes modelled by hand on Zhan (2019, Fig. 2), which gives no coordinates.
+    """Return four aggregate shapes modelled by hand after Zhan (2019, Fig. 2), which gives no coordinates.
 
     The shapes are a rounded pair, a flat triangle, a compact tetrahedron and a bent row, with shape factors of 1.4 to
     2.1.

@@ -241,7 +241,7 @@ class Scene(Parametrised):
     segregation: bool = False
     """True to measure segregation, the distribution of aggregate over the pipe; requires `pipe`."""
     pressure: PressureProbe | None = None
-    """Plane wall on which a pressure is measured [Pa], and the area of this measurement."""
+    """Measurement of the pressure on a plane wall, such as the piston [Pa]; None to leave it out."""
     pipe: PipeUnit | None = None
     """Description of the pipe, if the scene pumps through one; it only affects measurements."""
     vessel: Vessel | None = None
