@@ -127,8 +127,8 @@ def transfer_kernel(
 def list_kernels(scalar) -> SimpleNamespace:
     """Return the kernels that run before and after a search for neighbours.
 
-    Before it, ``centres`` prepares the points to search, and ``stretch`` finds long bonds. After it, ``starts``
-    computes where the lists of the spheres begin, ``drift`` estimates the mean velocity of each scene, and
+    Before the search, ``centres`` prepares the points to search, and ``stretch`` finds long bonds. After the search,
+    ``starts`` computes where the lists of the spheres begin, ``drift`` estimates the mean velocity of each scene, and
     ``clear_stale`` marks the new lists as valid.
     """
     t = types(scalar)

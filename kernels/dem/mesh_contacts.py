@@ -40,8 +40,8 @@ MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # radius.
 BEHIND = 2.0e-2
 ROUNDING = 0.99
-"""Fraction of a margin: if sphere and meshes have together moved by this fraction, the triangles near the sphere are
-chosen again. The rest of the margin covers rounding errors."""
+"""Fraction of a margin. If the displacements of a sphere and of the meshes add up to more than this fraction of the
+margin, the triangles near the sphere are chosen again. The rest of the margin covers rounding errors."""
 # Number of storage places (slots) of a sphere for its contacts with meshes; they follow its slots for planes and pipes.
 # If a sphere has more mesh contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6

@@ -192,7 +192,8 @@ def motion_functions(scalar, dissipation: bool):
 def clearing_function(scalar, half: bool):
     """Return the function `clear_forces`, which sets a sphere's force and moment to zero for the next step.
 
-    On a GPU only walls write to these arrays, so the function writes zeros only if the force or the moment is not zero.
+    On a GPU only wall contacts change the stored force and moment, so the function writes zeros only if they are not
+    zero.
     """
     t = types(scalar)
     Spheres = array_structs(scalar).Spheres

@@ -1,6 +1,6 @@
 """Kernel that computes how the yield stress of a lubrication layer decreases while the concrete slips along the wall.
 
-The layer gained yield stress while the concrete was at rest, and slip destroys this gain.
+The layer gained yield stress while the concrete was at rest, and slip reduces this gain.
 """
 
 import functools

@@ -93,7 +93,7 @@ def test_bodies_and_walls_may_follow_different_laws_but_each_only_one(start):
     pair = K_PAIR * 0.1 * RADIUS
     assert velocity == pytest.approx(np.array([[-pair, 0, 0.25], [pair, 0, 0.25]]), rel=1e-9)
     other = Bodies(positions=np.zeros((1, 3)), sizes=0.01, material="other")
-    with pytest.raises(SceneError, match="must be one type of law for all contacts with walls"):
+    with pytest.raises(SceneError, match="must be one type of contact law for all contacts with walls"):
         start(Scene(name="bad", duration=1.0, walls=(floor,), bodies=(*bodies, other), contacts=dict(mixed.contacts)))
 
 

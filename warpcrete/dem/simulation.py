@@ -183,7 +183,8 @@ class ElementSimulation(Simulation):
         self.tell("settling", 1.0)
 
     def bond(self) -> None:
-        """Bond all pairs with a gap of at most `Bonds.gap`, if the scene has bonds, and hydrate some of the bonds."""
+        """Bond all pairs with a gap of at most `Bonds.gap`, if the scene has bonds, and hydrate the fraction of these
+        bonds that `Scene.hydration` states."""
         scene = self.scene
         if scene.bonds is None:
             return

@@ -349,7 +349,9 @@ def _law_table(
         names = {kind.__name__ for kind in kinds}
         names = names if len(names) == len(kinds) else {f"{kind.__module__}.{kind.__name__}" for kind in kinds}
         hint = "use one class of contact law between bodies, and one between bodies and walls"
-        refuse("contacts", ", ".join(sorted(names)), f"must be one type of law for all contacts with {what}", hint)
+        refuse(
+            "contacts", ", ".join(sorted(names)), f"must be one type of contact law for all contacts with {what}", hint
+        )
     law = type(met[0])
     table = [contacts.get((a, b), scene.contact) for a in materials for b in materials] or met
     return [c if type(c) is law else met[0] for c in table]

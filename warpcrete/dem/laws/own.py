@@ -228,7 +228,7 @@ def explained(law: type, error: Exception) -> NoReturn:
         place = next((value for key, value in _STORED.items() if statement.startswith(key)), None)
         if place is not None:
             _wrong_value(law, *place, reason, error)
-        raise SceneError(f"{law.__name__}: its functions cannot be compiled: {one_line(reason)}") from error
+        raise SceneError(f"{law.__name__}: Warp cannot compile its functions: {one_line(reason)}") from error
     where = f"{Path(inner[2]).name}, line {inner[3]}: {' '.join(inner[4].split())}"
     raise SceneError(
         f"{law.__name__}.{inner[1]}() = {where!r}: cannot be compiled by Warp, which says {reason!r}; "
