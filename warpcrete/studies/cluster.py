@@ -365,7 +365,7 @@ def _run_job(
     """Run one job on a worker.
 
     A lock prevents two jobs from running at the same time, because a process can capture the kernel launches of only
-    one simulation at a time.
+    one simulation at a time. `stop` is the name of the Dask event that is set when the user wants to stop.
     """
     with _job:
         return function(record, importlib.import_module(module_name), Path(folder), job, _stop_requested(stop))

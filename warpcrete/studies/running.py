@@ -85,7 +85,10 @@ def run_on_gpu(
     store_outcome: OutcomeCallback,
     progress: Progress,
 ) -> None:
-    """Run the cases on a GPU in groups: discrete elements in batches, flows each on its own CUDA stream."""
+    """Run the `pending` cases on a GPU in groups, and call `store_outcome` for each case.
+
+    Discrete elements run in batches, and flows at the same time, each on its own CUDA stream.
+    """
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
     def progress_of(case: Case) -> Progress:
@@ -161,7 +164,7 @@ def run_in_processes(
     processes: int | None,
     store_outcome: OutcomeCallback,
 ) -> None:
-    """Run the cases in worker processes, one case per process at a time.
+    """Run the `pending` cases in worker processes, one case per process at a time; call `store_outcome` for each case.
 
     A case is submitted only when a process is free. No further case is therefore waiting, and none starts, after the
     user has pressed Ctrl-C or a process has received SIGTERM.

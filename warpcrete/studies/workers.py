@@ -212,7 +212,7 @@ def serve() -> None:
 def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
     """Receive messages from the parent process until the pipe closes, then end this process.
 
-    The pipe closes when the parent process has ended.
+    Jobs are put into `inbox`, and the message to stop sets `stop`. The pipe closes when the parent process has ended.
     """
     with open(0, "rb", closefd=False) as messages:
         while True:

@@ -173,7 +173,8 @@ def janssen(device, precision) -> list[Row]:
 def _mean_vertical(weight: float, floor: float, area: float) -> float:
     """Return the average of the vertical stress over the filling height [Pa], according to Janssen's profile.
 
-    The profile is determined by the weight of the spheres and the load on the floor [N].
+    The profile follows from the `weight` of the spheres [N] and the load on the `floor` [N]. `area` is the
+    cross-section of the silo [m2].
     """
     # Janssen's profile of the vertical force is F(m) = m_s (1 - exp(-m/m_s)), where m is the weight of the spheres
     # above. Find m_s such that F(weight) equals the load on the floor, then average F over the height.
@@ -236,7 +237,8 @@ def repose(device, precision) -> list[Row]:
 def _slope(position: np.ndarray, volume: float) -> float:
     """Return the slope [degrees] of the cone that has the heap's bulk volume [m3] and mean height.
 
-    A cone of height h and radius R has a mean height of h/4 and a volume of pi R^2 h/3.
+    `position` holds the centres of the spheres [m], shape (n, 3). A cone of height h and radius R has a mean height of
+    h/4 and a volume of pi R^2 h/3.
     """
     height = 4 * float(position[:, 2].mean())
     return float(np.degrees(np.arctan(height / math.sqrt(3 * volume / (math.pi * height)))))

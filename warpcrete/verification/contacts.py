@@ -20,7 +20,8 @@ FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
 def sphere_on_floor(contact, height=RADIUS, **changes) -> Scene:
     """Return a scene of one sphere above a floor.
 
-    `changes` replace arguments of the scene, or arguments of the sphere's body if their name starts with `body_`.
+    `contact` is the contact law, and `height` the height of the sphere's centre above the floor [m]. `changes` replace
+    arguments of the scene, or arguments of the sphere's body if their name starts with `body_`.
     """
     body = dict(positions=[[0.0, 0.0, height]], sizes=2 * RADIUS, density=DENSITY)
     body |= {name[5:]: changes.pop(name) for name in list(changes) if name.startswith("body_")}
@@ -213,7 +214,10 @@ def meshes(device, precision) -> list[Row]:
 
 
 def _box(half: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and faces of a closed cube, with `cells` x `cells` pairs of triangles on each side."""
+    """Return vertices and faces of a closed cube with the edge length 2 * `half` [m].
+
+    Each side consists of `cells` x `cells` pairs of triangles.
+    """
     import trimesh
 
     line = np.linspace(-half, half, cells + 1)

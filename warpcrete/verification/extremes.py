@@ -62,10 +62,12 @@ class Outcome:
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
         load=1e3, dt_fraction=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
-    """Return the scene of a cup that holds spheres of two sizes under a loaded plate.
+    """Return the scene of a cup that holds `count` spheres of two sizes under a loaded plate.
 
-    `ratio` is the size of the large spheres divided by that of the small spheres, and `load` is the pressure of the
-    plate [Pa].
+    The floor of the cup moves upwards at `velocity` [m/s]. `modulus` [Pa], `friction` and `restitution` belong to the
+    contact law. `ratio` is the size of the large spheres divided by that of the small spheres, and `load` is the
+    pressure of the plate [Pa]. The time step is `dt_fraction` times the estimated stable step. `changes` replace
+    arguments of the scene.
     """
     random = np.random.default_rng(0)
     large = 0.012
@@ -221,7 +223,7 @@ def _million() -> Scene:
 
 
 def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]:
-    """Run all scenes with extreme parameters and return the results."""
+    """Run all scenes with extreme parameters and return the results; `large` adds a scene of a million spheres."""
     return [outcome(name, make(), device, precision, steps) for name, make, steps in scenes(large)]
 
 

@@ -94,7 +94,10 @@ def column(
 
 
 def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: str, steps: int = STEPS) -> FlowOutcome:
-    """Run a flow for a number of steps, measure it and check for instability in between, and return the outcome."""
+    """Run a flow for a number of steps, measure it and check for instability in between, and return the outcome.
+
+    `make` returns the scene of the flow.
+    """
     stopped, refused = "", False
     top = math.nan
     rows: list[dict[str, float]] = []

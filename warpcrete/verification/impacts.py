@@ -40,9 +40,10 @@ TEST_5_SPIN = np.array([
 def spheres_on_a_plane(law, radius, density, velocities, spins, device, precision, steps_per_contact=400):
     """Simulate impacts of spheres on a plane, and return their velocities [m/s] and spins [rad/s] after the impacts.
 
-    `velocities` and `spins` are the values before the impacts. These arrays and both results have the shape (spheres,
-    3). The spheres lie so far apart that they do not touch each other. A time step is the duration of an elastic impact
-    divided by `steps_per_contact`.
+    `law` is the contact law, and the spheres have one `radius` [m] and `density` [kg/m3]. `velocities` and `spins` are
+    the values before the impacts. These arrays and both results have the shape (spheres, 3). The spheres lie so far
+    apart that they do not touch each other. A time step is the duration of an elastic impact divided by
+    `steps_per_contact`.
     """
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)
@@ -67,7 +68,10 @@ def spheres_on_a_plane(law, radius, density, velocities, spins, device, precisio
 
 
 def _duration(law: HertzMindlin, radius: float, density: float, speed: float) -> float:
-    """Return the duration of an elastic Hertz impact of a sphere on a plane [s]."""
+    """Return the duration of an elastic Hertz impact of a sphere on a plane [s].
+
+    The sphere has a `radius` [m], a `density` [kg/m3] and an impact `speed` [m/s].
+    """
     mass = density * 4 / 3 * math.pi * radius**3
     depth = (15 * mass * speed**2 / (16 * math.sqrt(radius) * law.effective_modulus)) ** 0.4
     return 2.9432 * depth / speed

@@ -15,10 +15,10 @@ HALF = 0.2, 0.05
 
 
 def let_go(yield_stress: float, width: float, duration: float) -> FreeScene:
-    """Return the scene of a box-shaped volume of concrete that is released on a plate and spreads.
+    """Return the scene of a box-shaped volume of concrete that is released on a plate and spreads for `duration` [s].
 
-    `width` is the width of the plate beside the plane of symmetry [m]. The concrete has a viscosity of 10 Pa s and
-    sticks to the plate.
+    `width` is the width of the plate beside the plane of symmetry [m]. The concrete has the yield stress `yield_stress`
+    [Pa] and a viscosity of 10 Pa s, and it sticks to the plate.
     """
     concrete = Concrete(
         density=2000.0, viscosity=10.0, yield_stress=yield_stress, slip_viscosity=NO_SLIP_VISCOSITY, slip_yield=0.0

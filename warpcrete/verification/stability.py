@@ -42,7 +42,10 @@ LAWS: dict[str, ContactLaw] = {
 
 
 def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tuple[Scene, BodyTable]:
-    """Return scene and bodies of a packing of about 120 bodies in a short pipe, so dense that the bodies overlap."""
+    """Return scene and bodies of a packing of about 120 bodies in a short pipe, so dense that the bodies overlap.
+
+    All bodies have the `shape` and the contact law `law`.
+    """
     fill = Fill(
         container=PipeContainer(AXIS, 0.025, 0.05), sizes=Uniform(8e-3, 12e-3), solid_fraction=0.66, templates=(shape,)
     )
@@ -55,9 +58,9 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
     """Return the largest energy in the last fifth of a run, divided by the largest energy in the first fifth.
 
-    The result is infinite if the run diverges. The run has `STEPS` time steps, whose size is `fraction` times the
-    estimated stable step. Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does
-    not grow.
+    `table` holds the bodies, and `bonds` the bonds between touching bodies, if there are any. The result is infinite if
+    the run diverges. The run has `STEPS` time steps, whose size is `fraction` times the estimated stable step. Near the
+    stability limit, the energy of a stable leapfrog integration oscillates, but it does not grow.
     """
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, table), TimeStep(safety=10.0))
@@ -86,7 +89,7 @@ def _energy(model, state) -> float:
 
 
 def shake(table: BodyTable, seed: int = 5) -> None:
-    """Give the bodies random velocities and spins.
+    """Give the bodies in `table` random velocities and spins.
 
     This random motion excites all modes of vibration, including the stiffest modes, which become unstable first.
     """

@@ -31,15 +31,19 @@ EXACT_STEP_RATIO = 5e-4
 
 
 def apparent(concrete: Concrete, regularisation: float, rate: np.ndarray) -> np.ndarray:
-    """Return the apparent viscosity of Bingham concrete at given shear rates [Pa s] (Xu, Li & Jiang 2021, Eq. 15)."""
+    """Return the apparent viscosity [Pa s] of Bingham concrete at shear rates `rate` [1/s].
+
+    `regularisation` is the parameter beta of the regularised flow law [s] (Xu, Li & Jiang 2021, Eq. 15).
+    """
     bent = np.maximum(regularisation * np.abs(rate), 1e-12)
     return concrete.viscosity + concrete.yield_stress * regularisation * -np.expm1(-bent) / bent
 
 
 def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, step: float) -> np.ndarray:
-    """Return velocity profiles [m/s] of a pipe flow that starts from rest, shape (times, cells).
+    """Return velocity profiles [m/s] of a pipe flow that starts from rest, at the `times` [s], shape (times, cells).
 
-    A force per volume drives the flow. The cells divide the radius of the pipe, or half the width of the channel.
+    A `force` per volume [N/m3] drives the flow. The cells divide the radius of the pipe, or half the width of the
+    channel. `step` is the time step [s].
     """
     concrete, axial = scene.concrete, scene.dimensions == 3
     h = scene.radius / cells

@@ -68,7 +68,9 @@ def mortar_state(
 ) -> GridState:
     """Return the state of a mortar at rest that fills a box centred on the origin.
 
-    `cells` is the number of cells along each axis, and `width` the edge length of a cell [m].
+    `cells` is the number of cells along each axis, and `width` the edge length of a cell [m]. `sides` holds the kinds
+    of the box's two sides along each axis. `walls` holds further walls, each as a distance function and a number, and
+    `motions` the motions of walls. `speed` is the velocity scale of the flow [m/s].
     """
     room = Room(tuple(cells), (width,) * 3, tuple(-0.5 * n * width for n in cells), sides)
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
@@ -218,7 +220,7 @@ def falling_in_bingham(number: float, regularisation: float, device: str, precis
     """Return the settling speed of a sphere in a Bingham mortar, divided by its Stokes speed without yield stress.
 
     `number` is 2 pi R^2 times the yield stress, divided by the weight minus the buoyancy of the sphere, where R is its
-    radius (Beris et al. 1985).
+    radius (Beris et al. 1985). `regularisation` is the parameter beta of the regularised flow law [s].
     """
     weight, stokes = 500 * GRAVITY * 4 / 3 * np.pi * RADIUS**3, 2 / 9 * 500 * GRAVITY * RADIUS**2 / VISCOSITY
     # The sphere starts with 30 % of its Stokes speed. From rest, the mortar would yield so slowly near the yield

@@ -83,7 +83,8 @@ def orbit(across: int, wide: int, shift: Sequence[float], device: str, precision
     """Return slowest spin, fastest spin and period of two touching spheres in a shear flow, divided by exact values.
 
     The spin of a spheroid is A + B cos 2 f at the angle f of its axis to the velocity (Jeffery 1922), and the period is
-    2 pi / sqrt(A^2 - B^2). The constants A and B are fitted to the spins at four angles.
+    2 pi / sqrt(A^2 - B^2). The constants A and B are fitted to the spins at four angles. :func:`turning_pair` explains
+    `across`, `wide` and `shift`.
     """
     angles = np.radians([0.0, 30.0, 60.0, 90.0])
     spins = []
@@ -101,7 +102,7 @@ def tumbling(across: int, wide: int, device: str, precision: str) -> float:
     """Return the period of two touching spheres in a shear flow, divided by the exact period.
 
     The period is twice the simulated time of half a turn. Each step shears the mortar by a shear strain of 0.1, at a
-    Reynolds number of 0.01.
+    Reynolds number of 0.01. :func:`turning_pair` explains `across` and `wide`.
     """
     flow, strain = turning_pair(across, wide, 0.0, (0.0, 0.0, 0.0), device, precision, strain=0.1, rate=1.0), 0.1
     turns, strains = [0.0], [0.0]

@@ -97,7 +97,11 @@ def core_of(flow: SuspensionFlow) -> Core:
 
 
 def velocity_area(long: int, middle: slice, width: float) -> float:
-    """Return the area of that part of a box wall that lies beside the core (middle part) of the box [m2]."""
+    """Return the area of that part of a box wall that lies beside the core (middle part) of the box [m2].
+
+    `long` is the number of cells along the third axis, `middle` the range of the core's cells along the second axis,
+    and `width` the edge length of a cell [m].
+    """
     return long * (middle.stop - middle.start) * width**2
 
 
@@ -109,7 +113,7 @@ def mean_core(cores: list[Core]) -> Core:
 def random_structure(fraction: float, seed: int, device: str, precision: str) -> Core:
     """Return the mean values in the core (middle part) of a suspension of randomly placed spheres after one time step.
 
-    Within this step the flow hardly changes the places of the spheres.
+    `fraction` is the volume fraction of the spheres. Within this step the flow hardly changes their places.
     """
     flow = suspension(fraction, seed, device, precision)
     flow.take(1)
@@ -137,8 +141,8 @@ def yield_factor(fraction: float, seed: int, bingham: float, device: str, precis
 def high_frequency_viscosity(fraction: float) -> float:
     """Return the relative viscosity of a suspension whose spheres are arranged at random, as in a fluid at rest.
 
-    The spheres do not touch each other. The formula of Lionberger & Russel (1994) is a fit to the simulations of Ladd
-    (1990).
+    `fraction` is the volume fraction of the spheres, which do not touch each other. The formula of Lionberger & Russel
+    (1994) is a fit to the simulations of Ladd (1990).
     """
     part = fraction * (1 + fraction - 0.189 * fraction**2)
     return (1 + 1.5 * part) / (1 - part)

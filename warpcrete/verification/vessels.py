@@ -59,7 +59,8 @@ def between_cylinders(
 ) -> GridFlow:
     """Return the flow of paste between a rotating inner cylinder and an outer cylinder at rest, on a Cartesian grid.
 
-    `layers` are the viscous constants of the slip layers on the inner and the outer cylinder [Pa s/m].
+    The grid has `cells` cells along each axis. `layers` are the viscous constants of the slip layers on the inner and
+    the outer cylinder [Pa s/m].
     """
     h = 0.22 / cells
     room = Room((cells, cells), (h, h), (-0.1069, -0.1083), ((WALL, WALL), (WALL, WALL)))
@@ -140,7 +141,8 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
     """Return the flow in a periodic round pipe, on a three-dimensional grid that is `cells` cells wide.
 
-    The grid is a tenth wider than the pipe, and the pipe's axis does not lie in the middle of the grid.
+    The paste has the yield stress `yield_stress` [Pa]. The grid is a tenth wider than the pipe, and the pipe's axis
+    does not lie in the middle of the grid.
     """
     h = 2.2 * RADIUS / cells
     room = Room((cells, cells, 2), (h,) * 3, (-1.1 * RADIUS + 0.13 * h, -1.1 * RADIUS - 0.21 * h, 0.0),
@@ -156,7 +158,10 @@ def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> 
 
 
 def pipe_gradient(yield_stress: float) -> float:
-    """Return the pressure gradient of the round pipe according to Buckingham and Reiner [Pa/m]."""
+    """Return the pressure gradient of the round pipe according to Buckingham and Reiner [Pa/m].
+
+    The paste has the yield stress `yield_stress` [Pa].
+    """
     # Find the stress at the wall by bisection. The mean velocity that the formula of Buckingham and Reiner gives for
     # this stress must equal `SPEED`.
     low, high = yield_stress, 1e5

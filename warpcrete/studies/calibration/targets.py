@@ -157,7 +157,7 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
 
 @names_from_file()
 def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
-    """Build the task of a calibration from a mapping with the contents of a file of targets.
+    """Build the task of a calibration from `raw`, the contents of a file of targets as a mapping.
 
     Paths in the mapping are relative to `folder`. Raises :class:`SceneError` for any mistake in the mapping.
     """
@@ -243,7 +243,10 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
 
 
 def _in_unit(called: str, given: Any, quantity: str) -> Any:
-    """Convert a text such as "550 mm" to a number in the unit of `quantity`; return anything else unchanged."""
+    """Convert a text such as "550 mm" to a number in the unit of `quantity`; return anything else unchanged.
+
+    `called` names the value in error messages.
+    """
     units = {each.name: each.unit for method in METHODS for each in method.quantities}
     if isinstance(given, str) and quantity not in units:
         refuse("quantity", quantity, "is not a result of any scene", known_names(quantity, units))
@@ -253,7 +256,11 @@ def _in_unit(called: str, given: Any, quantity: str) -> Any:
 
 
 def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
-    """Return the standard deviation of a measured value, stated as a number or as a percentage of the value."""
+    """Return the standard deviation of a measured `value`, stated as a number or as a percentage of the value.
+
+    `given` is the statement of the user, and `quantity` the measured quantity. `called` names the standard deviation in
+    error messages.
+    """
     found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
     if found:
         given = float(found.group(1)) / 100 * abs(value)
@@ -283,7 +290,10 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
 
 
 def _free(name: str, given: Any, field: Field) -> FreeParameter:
-    """Check the range that the user states for a free parameter, and return the parameter with this range."""
+    """Check the range that the user states for a free parameter, and return the parameter with this range.
+
+    `given` is the range, and `field` declares the parameter in a scene.
+    """
     called, whole = f"vary {name}", field.kind is int
     scale = None
     if isinstance(given, Mapping):

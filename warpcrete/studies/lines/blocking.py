@@ -164,7 +164,8 @@ def _parameters(
 
     The simulation ends as soon as the part is blocked, and measures no losses. If the concrete's file states a contact
     law, this law stays unchanged. Otherwise the stones' friction is at least :data:`FRICTION` and their modulus at
-    least :data:`MODULUS`, because smoother or softer stones would pass bores that block in reality.
+    least :data:`MODULUS`, because smoother or softer stones would pass bores that block in reality. `elements` states
+    the factor by which the stones are enlarged.
     """
     wide = max(part.diameter, part.outlet)
     own = part_parameters(part, False, line, concrete, flow, elements, seed)

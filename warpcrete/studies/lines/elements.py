@@ -158,7 +158,10 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the parameters of the scene that simulates a part by discrete elements, without gravity."""
+    """Return the parameters of the scene that simulates a part by discrete elements, without gravity.
+
+    If `pressed` is True, a plug at the outlet presses against the concrete (:data:`PRESSED_RUN`).
+    """
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,
@@ -266,7 +269,10 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
 
 
 def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
-    """Yield remarks for the user about the line, about failed checks, and about limits of the simulations."""
+    """Yield remarks for the user about the line, about failed checks, and about limits of the simulations.
+
+    The keys of `runs` are pairs of a kind of part and a seed. `kinds` maps each kind to one part of this kind.
+    """
     yield from found.line.remarks()
     if any(part.layer != 1 for part in found.line.parts):
         yield "hoses are simulated with the slip layer of pipes"

@@ -147,7 +147,7 @@ def _fitted(
     """Return a fit of the constants that the measured pressures determine.
 
     The friction factor of bends is fitted only if `factor` is True, and the yield stress of the slip layer only if its
-    error is at most `widest` [Pa].
+    error is at most `widest` [Pa]. `gauge` is the error limit of a gauge [Pa].
     """
     model = TapModel(line, concrete, taps, bends=factor)
     measured = np.array([tap.pressure for tap in taps])
@@ -244,9 +244,10 @@ def _covariance(slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
 def _yield_error(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int], gauge: float) -> float:
     """Return the 95 % error limit [Pa] that the yield stress of the slip layer would have after a fit.
 
-    `free` holds the indices of the fitted constants, among them the yield stress. The other constants are fitted first,
-    and the error is estimated from the linearised model at this fit. A fit of the yield stress itself could fail if the
-    flows hardly differ.
+    `free` holds the indices of the fitted constants, among them the yield stress. The other constants are fitted first
+    to the `measured` pressures [Pa], with `start` as initial values. The error is then estimated from the linearised
+    model at this fit. A fit of the yield stress itself could fail if the flows hardly differ. `gauge` is the error
+    limit of a gauge [Pa].
     """
     found = _least_squares(model, measured, start, [place for place in free if place != 1])
     slopes = model.sensitivities(found, free)
@@ -313,7 +314,8 @@ def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
 def _least_squares(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
     """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps.
 
-    `start` holds the initial values of all constants, and `free` the indices of those that may change.
+    `measured` holds the measured pressures [Pa], `start` the initial values of all constants, and `free` the indices of
+    the constants that may change.
     """
     own, places = start.copy(), list(free)
     off = model.pressures(own) - measured

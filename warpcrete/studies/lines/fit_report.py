@@ -76,7 +76,8 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
     """Return lines of text with the fitted slip layer as entries for the concrete's file, and where to write them.
 
     The entries are divided by the `factors` on yield stresses and on viscosities in this file, because the program
-    multiplies the entries by these factors when it reads the file.
+    multiplies the entries by these factors when it reads the file. They belong to the section `mix` if `mix` is True,
+    and to the section `flow` otherwise.
     """
     before = "" if factors == (1.0, 1.0) else ", divided by the factors that it states"
     if mix:

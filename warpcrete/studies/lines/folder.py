@@ -37,7 +37,8 @@ def part_simulation(
 
     If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues this run in the
     folder of the run. Otherwise, it starts in a new folder with the name `called`. If the part has a mesh, `digest` is
-    the checksum of the mesh file.
+    the checksum of the mesh file. The function `check` checks the finished run, and `settings` are further arguments of
+    :class:`Simulation`.
     """
     if out is None:
         return Simulation(scene, recorders=[CheckRecorder(check)], **settings), None
@@ -50,7 +51,11 @@ def part_simulation(
 
 
 def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the path of each run of the given scene in `folder`, and whether the run is complete."""
+    """Yield the path of each run of the given scene in `folder`, and whether the run is complete.
+
+    If the simulated part has a mesh, `digest` is the checksum of the mesh file, which the name of the run's folder
+    contains.
+    """
     for here in sorted(folder.iterdir()) if folder.is_dir() else ():
         record, result = here / "scene.json", here / "result.json"
         if digest not in here.name or not record.is_file():

@@ -165,7 +165,11 @@ def _failure(check: str, found: str) -> str:
 
 
 def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
-    """Return the name of the scene that simulates a part without gravity, and the parameters of this scene."""
+    """Return the name of the scene that simulates a part without gravity, and the parameters of this scene.
+
+    `cells` is the number of cells across the narrowest bore of a bend, a reducer or a mesh. A straight pipe has
+    :data:`TUBE_CELLS` cells across.
+    """
     concrete = with_layer_factor(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONCRETE_CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}

@@ -58,13 +58,13 @@ class Row:
 
 
 def judge_equal(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether all pressures are nearly equal, and a short text that describes them."""
+    """Return whether the `pressures` at all parameter values are nearly equal, and a short text that describes them."""
     spread = (max(pressures) - min(pressures)) / float(np.mean(pressures))
     return spread < EQUAL_SPREAD, f"they differ by {100 * spread:.1f} %"
 
 
 def judge_linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether the pressure grows along a straight line, and a short text that describes the growth."""
+    """Return whether the pressure grows along a straight line with the parameter value, and a short text about it."""
     slope, shift = np.polyfit(values, pressures, 1)
     rest = np.asarray(pressures) - (slope * np.asarray(values) + shift)
     fit = 1 - float(rest @ rest) / max(float(np.var(pressures)) * len(pressures), 1e-300)

@@ -132,7 +132,10 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
-    """Return the results in the folder of an earlier reproduction of the same paper, without failed runs."""
+    """Return the results in the folder of an earlier reproduction of the same paper, without failed runs.
+
+    Raises :class:`SceneError` if the reproduction belongs to another paper, or if only one of the two is `quick`.
+    """
     if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
         raise RunFolderError(
             f"known = '{folder}': contains no results of a reproduction; give a folder made by 'warpcrete reproduce'"

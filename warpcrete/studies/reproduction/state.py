@@ -42,7 +42,7 @@ class Reproduction:
     def values(self, group: str, parameters: Mapping[str, Any], quantity: str) -> list[float]:
         """Return the values of a quantity in the runs of one case with different seeds.
 
-        Values that are not finite are left out.
+        The case has the `parameters`, and belongs to the `group` of runs. Values that are not finite are left out.
         """
         found = []
         for seed in range(self.seeds):
@@ -63,14 +63,18 @@ def key_of(group: str, parameters: Mapping[str, Any]) -> str:
 
 
 def unit_case(unit: str, quick: bool) -> dict[str, Any]:
-    """Return the scene parameters of one of the four pipe units of Zhan et al."""
+    """Return the scene parameters of one of the four pipe units of Zhan et al.
+
+    With `quick`, the concrete consists of coarse spheres instead of clumps.
+    """
     return zhan_case(Row("unit", "unit", UNITS, "", lambda values, pressures: (True, "")), unit, quick)
 
 
 def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
     """Return the peak pressures [Pa] for each value of a varied parameter, as a list with one entry for each seed.
 
-    Seeds without a result are left out. `name` is the name of a column of the report, such as "calibrated".
+    Seeds without a result are left out. `row` describes the varied parameter. `name` is the name of a column of the
+    report, such as "calibrated".
     """
     group = f"{name}, hydrated" if row.is_hydrated else name
     return [found.values(group, {**zhan_case(row, value, found.quick), **column_parameters(name)}, "peak_pressure")

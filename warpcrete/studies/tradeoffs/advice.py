@@ -51,9 +51,9 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` with the same kind of simulated aggregates are considered, because
-    aggregates limit the width of the cells. A record is more similar than another one by the first of these criteria
-    that distinguishes them:
+    The scene has the parameters `given`, and runs on a GPU if `on_gpu` is True. Only records of the scene function
+    `name` with the same kind of simulated aggregates are considered, because aggregates limit the width of the cells. A
+    record is more similar than another one by the first of these criteria that distinguishes them:
 
     - A closed form exists for both scenes, or for neither of them.
     - Fewer knobs (accuracy parameters) exist in only one of the two scenes.

@@ -145,7 +145,10 @@ def _read(path: Path) -> Forecast | None:
 
 
 def _measured_savings(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[list[Saving], str]:
-    """Return the savings that a trade-off record contains for a scene, and a description of the record's source."""
+    """Return the savings that a trade-off record contains for a scene, and a description of the record's source.
+
+    :func:`_trade_of` explains the arguments.
+    """
     record, source = _trade_of(scene, trade, on_gpu)
     try:
         return list(_knob_savings(record.get("points", []), _knobs_of(scene, record.get("parameters")))), source
@@ -222,6 +225,7 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
     """Return a trade-off record for a scene, and a description of its source; both are empty if there is no record.
 
     The record is that of the folder `trade`, or by default the most similar one that is shipped with the package.
+    `on_gpu` is True if the scene runs on a GPU, because a record from a GPU is then preferred.
     """
     module = modules().get(scene.name)
     if trade is not None:

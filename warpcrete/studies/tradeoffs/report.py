@@ -232,7 +232,10 @@ def draw(trade: Trade) -> Any:
 
 
 def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: Any) -> None:
-    """Draw the settings of one `origin`, such as those that vary one accuracy parameter, with confidence intervals."""
+    """Draw the settings of one `origin`, such as those that vary one accuracy parameter, with confidence intervals.
+
+    `mine` holds these settings with their errors. Settings with a failed check have hollow markers.
+    """
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]

@@ -247,7 +247,8 @@ class Trade(Judging):
 
         `lacking` holds pairs of a setting and its seeds that have no result yet. The caller requests a job when a
         processor is free, so each decision uses the results available at that moment. If there are enough settings for
-        all workers, one worker takes all seeds of a setting and loads its kernels only once.
+        all workers, one worker takes all seeds of a setting and loads its kernels only once. A setting is left out if
+        its run is expected to end after the fraction `until` of the budget is spent.
         """
         points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
         for number, (point, seeds) in enumerate(points):

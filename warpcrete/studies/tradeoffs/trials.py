@@ -33,7 +33,7 @@ class WorkerJob:
 def run_worker_job(
     record: dict[str, Any], module: Any, folder: Path, trial: WorkerJob, stop_requested: Callable[[], bool]
 ) -> list[Any]:
-    """Run the cases of a job until its time is used up, a case fails, or the callback `stop_requested` returns True.
+    """Run the cases of the job `trial` until its time is used up, a case fails, or `stop_requested` returns True.
 
     The result is a list with the outcome of each case that was run: the contents of its result.json, the exception that
     ended it, or None if it was stopped. Raises :class:`WarpcreteError` if earlier runs of the study took place on

@@ -37,7 +37,7 @@ class BlockingComparison:
 def compare_blocking(case: Case, held_out: bool = False) -> BlockingComparison:
     """Judge one concrete by the rules against blocking, and return the verdict next to the observation.
 
-    Raises :class:`SceneError` if the program refuses the mix.
+    `held_out` is stored in the result. Raises :class:`SceneError` if the program refuses the mix.
     """
     mix = mix_of_case(case)
     bore = amount("case test: bore", case.test.get("bore"), "m")

@@ -49,7 +49,7 @@ class Comparison:
 def compare(case: Case, held_out: bool = False) -> Comparison:
     """Predict the values of one case, and return them next to the measured values.
 
-    Raises :class:`SceneError` if the program refuses the inputs of the case.
+    `held_out` is stored in the result. Raises :class:`SceneError` if the program refuses the inputs of the case.
     """
     bands = PREDICTORS[case.kind](case)
     measured = np.array(case.measured)

@@ -32,10 +32,10 @@ def representatives(cases: Sequence[Case]) -> list[Case]:
 def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: float | None = None) -> Comparison:
     """Predict a case by simulating its standard test as a flow.
 
-    `spacing` is the edge length of the cells [m], by default that of the scene. The simulated value is multiplied by
-    the relative band of the closed form to get its uncertainty band, but a slump's band ends at the largest slump of a
-    cone (:data:`FLATTEST`). Raises :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is
-    interrupted.
+    `held_out` is stored in the result. `spacing` is the edge length of the cells [m], by default that of the scene. The
+    simulated value is multiplied by the relative band of the closed form to get its uncertainty band, but a slump's
+    band ends at the largest slump of a cone (:data:`FLATTEST`). Raises :class:`WarpcreteError` if the run fails, and
+    KeyboardInterrupt if it is interrupted.
     """
     scene, quantity, more = SIMULATED[case.kind]
     concrete = mix_of_case(case).concrete

@@ -216,7 +216,7 @@ def _summary(kind: str, basis: str, chosen: str, part: Sequence[Comparison]) -> 
 
 
 def summary_cells(x: Summary) -> tuple[str, ...]:
-    """Return the texts in the cells of a table row that shows the statistics of one kind of measurement."""
+    """Return the texts in the cells of a table row that shows the statistics `x` of one kind of measurement."""
     return (KINDS[x.kind].label, x.basis, x.chosen, str(x.count), str(x.groups), f"{x.ratio:.2f}",
             f"{100 * x.error:.0f} %", f"{100 * x.inside:.0f} %", f"{x.factor:.2f}")  # fmt: skip
 
