@@ -158,7 +158,7 @@ MISTAKES = {
     "help text left out": (
         'Annotated[float, "coefficient of friction", Within(0)]',
         "Annotated[float, Within(0)]",
-        r"friction = Within.*must have a text with its meaning and unit",
+        r"friction = Within.*must have a text with the meaning and unit",
     ),
     "stress of nothing": (
         "return self.stiffness * 0.01",

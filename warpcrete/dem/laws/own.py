@@ -109,7 +109,7 @@ def _without_decorator(base: type) -> bool:
 def _check_field(name: str, field: Field) -> None:
     example = 'write, for example, Annotated[float, "friction coefficient", Within(0)]'
     if not isinstance(field.help, str):
-        refuse(name, field.help, "must have a text with its meaning and unit after the type", example)
+        refuse(name, field.help, "must have a text with the meaning and unit of the field after the type", example)
     if field.optional:
         refuse(name, "None", "must always have a value, because kernels cannot handle None", "leave out '| None'")
     if field.kind in (float, int, bool) or hasattr(field.kind, "device_functions"):

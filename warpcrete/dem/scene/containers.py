@@ -141,7 +141,8 @@ class MeshContainer:
             points = lower + low_discrepancy_points(wanted, random) * (upper - lower)
             inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
             if len(inside) >= count:
-                # Only the whole sequence is evenly distributed, so drop surplus points at regular intervals.
+                # Drop surplus points at regular intervals of the sequence, because the sequence without its last points
+                # would be distributed less evenly.
                 return inside[np.linspace(0, len(inside) - 1, count).astype(int)]
             wanted *= 2
 
