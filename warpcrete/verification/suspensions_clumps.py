@@ -37,7 +37,7 @@ def doublet() -> ClumpTemplate:
 def pair_at(centre: Sequence[float], turn: Sequence[float], density: float = DENSITY) -> Aggregates:
     """Return an aggregate of two touching spheres of radius RADIUS, with its `centre` [m] and orientation `turn`.
 
-    The orientation is a quaternion (x, y, z, w).
+    The orientation is a quaternion (x, y, z, w), and `density` the density of the spheres [kg/m3].
     """
     radius = np.array([2 ** (1 / 3) * RADIUS])
     return Aggregates(np.array([centre]), radius, density, shapes=(doublet(),), turn=np.array([turn]))

@@ -69,8 +69,8 @@ def _first_points(
 ) -> list[list[float]]:
     """Return the parameter sets of the first round, with each parameter scaled to 0 to 1 over its range.
 
-    The first set is an estimate from closed forms, if there are any. The others form a Sobol sequence, which fills the
-    parameter ranges evenly.
+    The first of the `count` sets is an estimate from closed forms, if the scenes have any. The others form a Sobol
+    sequence, which fills the parameter ranges evenly.
     """
     from scipy.stats import qmc
 

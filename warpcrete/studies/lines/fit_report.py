@@ -10,8 +10,7 @@ from .line_fit import LineFit, Stretch
 from .taps import at_one_flow
 
 NOTICED = 0.01
-"""Smallest weight from 0 to 1 at which the report mentions that earlier knowledge of the slip layer was combined with
-the fit."""
+"""Smallest weight (from 0 to 1) of the slip layer expected before the fit at which the report states this weight."""
 
 
 def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0, 1.0), mix: bool = True) -> list[str]:

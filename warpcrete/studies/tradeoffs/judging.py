@@ -152,7 +152,7 @@ class Judging(ABC):
 
         The bound is the error of the reference setting plus the larger of two values. The first value is the measured
         error with its confidence interval. The second value is the sum of the errors that were measured when only one
-        knob (accuracy parameter) was changed at a time; the sum covers all knobs that the setting changes. It is
+        knob (accuracy parameter) was changed at a time; the sum covers all knobs that the setting changes. The sum is
         considered because errors that cancel in this scene need not cancel in another one.
         """
         if point.worst is None:
