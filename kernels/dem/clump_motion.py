@@ -138,6 +138,7 @@ def clump_kernel(
     On a GPU (full lists), 2^`lane_bits` threads of a warp of `width` share a body. Each thread sums the forces of some
     of the body's spheres, all threads compute the body's motion, and each updates the positions of its spheres. The
     launch consists of whole warps. `rows` is the number of rows in which a link (a pair of spheres) stores its forces.
+    The class `Features` in `warpcrete/dem/engine/model.py` explains the flags.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -41,7 +41,7 @@ def contact_kernel(
 
     The neighbour lists are half lists, which contain most pairs once. With `dissipation` the kernel also adds up the
     energy that friction, dashpots and breaking bonds dissipate [J]. A launch processes the spheres from `first` to
-    `last`, which belong to one CPU thread.
+    `last`, which belong to one CPU thread. The class `Features` in `warpcrete/dem/engine/model.py` explains the flags.
     """
     t = types(scalar)
     structs = array_structs(scalar)

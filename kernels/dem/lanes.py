@@ -113,7 +113,8 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
 def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixed: bool):
     """Return the function `gather`, which copies the data of one contact into a vector lane.
 
-    A vector lane is one of the contacts that a CPU computes at the same time.
+    A vector lane is one of the contacts that a CPU computes at the same time. The class `Features` in
+    `warpcrete/dem/engine/model.py` explains the flags.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -188,7 +189,8 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
 
     A lane is one of the contacts that the vector instructions of a CPU process together. Without `mixed`, all spheres
     have one material, and all lanes share one parameter set that is read before the loop. Reading parameters in the
-    loop would keep the compiler from vectorising it.
+    loop would keep the compiler from vectorising it. The class `Features` in `warpcrete/dem/engine/model.py` explains
+    the flags.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)

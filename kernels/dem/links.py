@@ -181,7 +181,8 @@ def contact_update_function(
 ):
     """Return the function `update_contact`, which checks if the two spheres of a link touch.
 
-    A link is a listed pair of spheres. The function clears the contact history when a contact has ended.
+    A link is a listed pair of spheres. The function clears the contact history when a contact has ended. The class
+    `Features` in `warpcrete/dem/engine/model.py` explains the flags.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -278,7 +279,8 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
     """Return the function `evaluate`, which computes the force and the moments between the two spheres of a link.
 
     A link is a pair of spheres in a neighbour list. The function also updates the contact history and the bond. `mixed`
-    is True if the spheres have several materials.
+    is True if the spheres have several materials. The class `Features` in `warpcrete/dem/engine/model.py` explains the
+    flags.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -359,7 +361,7 @@ def link_kernel(
 
     The launch has `threads` threads. In the first pass they share the near links, which are the pairs close enough to
     touch within a few steps. This pass skips scenes whose near links may lack a contact. In the second pass the threads
-    share all links of the skipped scenes.
+    share all links of the skipped scenes. The class `Features` in `warpcrete/dem/engine/model.py` explains the flags.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

@@ -31,7 +31,8 @@ def transfer_kernel(
     """Return a kernel that completes a new neighbour list and copies data of each pair from the old list.
 
     These data are the contact history, the rolling moment and the bond. A launch runs over the range of spheres of one
-    CPU thread, or over all spheres on a GPU, where `lanes` threads share the entries of a sphere.
+    CPU thread, or over all spheres on a GPU, where `lanes` threads share the entries of a sphere. The class `Features`
+    in `warpcrete/dem/engine/model.py` explains the flags.
     """
     t = types(scalar)
     span = SPAN if half else 1

@@ -264,7 +264,8 @@ def sphere_kernel(
 
     The step is the same as in `clump_kernel`, but the kernel computes it on the arrays of spheres alone. `sync_kernel`
     updates the arrays of bodies later, when they are needed. With full lists (GPU), the kernel adds up the forces of
-    each sphere's links, which are its listed pairs. The forces of a link are stored in `rows` rows.
+    each sphere's links, which are its listed pairs. The forces of a link are stored in `rows` rows. The class
+    `Features` in `warpcrete/dem/engine/model.py` explains the flags.
     """
     t = types(scalar)
     span = SPAN if half else 1

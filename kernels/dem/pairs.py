@@ -100,7 +100,8 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
     """Return the function `part_entries`, which clears the contact history of pairs that separated in this step.
 
     In the argument `bits`, bit b is set if the pair of the list entry `block` + b has separated. Entries from `end` on
-    are ignored. The function returns the energy that these pairs lose [J].
+    are ignored. The function returns the energy that these pairs lose [J]. The class `Features` in
+    `warpcrete/dem/engine/model.py` explains the flags.
     """
     t = types(scalar)
     structs = array_structs(scalar)

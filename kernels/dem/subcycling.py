@@ -182,7 +182,10 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
 @functools.cache
 def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) -> wp.Kernel:
-    """Return the CPU kernel that computes all pairs with stiff bonds in one of the sub-cycling rounds of a step."""
+    """Return the CPU kernel that computes all pairs with stiff bonds in one of the sub-cycling rounds of a step.
+
+    The class `Features` in `warpcrete/dem/engine/model.py` explains the flags.
+    """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)
@@ -318,7 +321,8 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) 
     """Return the GPU kernel that performs all sub-cycling rounds of a step in one launch with `threads` threads.
 
     Its blocks stay on the GPU and wait for each other at barriers. Two kernel launches per round, each of which must
-    wait for the previous launch, would be slower.
+    wait for the previous launch, would be slower. The class `Features` in `warpcrete/dem/engine/model.py` explains the
+    flags.
     """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
