@@ -382,8 +382,10 @@ def _standard_error(values) -> np.ndarray:
 
 
 def _falls(result: dict) -> tuple[float, float]:
-    """How much slower than the middle the fluid is four fifths of the way to the wall [m/s]; the same over the fall to
-    the slip velocity. Mean of the three heights."""
+    """Return the velocity in the middle minus that at four fifths of the radius, as a mean of the three heights.
+
+    The first number is in m/s, the second is divided by the velocity in the middle minus the slip velocity.
+    """
     inside = []
     for part in result["profiles"]:
         radius, velocity = np.array(part["radius"]["value"]), np.array(part["velocity"]["value"])

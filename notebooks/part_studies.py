@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def _is_of(run, part) -> bool:
-    """Is it a run of this kind of part?"""
+    """Return whether `run` is a run of this kind of part."""
     known = run.scene.parameters
     if part.kind == "bend":
         return known["unit"] == "bend-level" and known["elbow_radius"] == part.radius

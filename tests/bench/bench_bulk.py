@@ -1,8 +1,8 @@
-"""Three bulk processes of Dosta et al. 2024 (Computer Physics Communications 296, 109066): results and run times.
+r"""Three bulk processes of Dosta et al. 2024 (Computer Physics Communications 296, 109066): results and run times.
 
-    python tests/bench/bench_bulk.py --device cuda --steps paper --total 75 --coordinates coordinates \\
+    python tests/bench/bench_bulk.py --device cuda --steps paper --total 75 --coordinates coordinates \
         --runs impact-25k impact-50k impact-100k --out impact.json
-    python tests/bench/bench_bulk.py --device cuda --total 150 --coordinates coordinates \\
+    python tests/bench/bench_bulk.py --device cuda --total 150 --coordinates coordinates \
         --runs silo-large-M1:50 drum:45 silo-small-M1:30 silo-large-M2:30 --out flow.json
     python tests/bench/bench_bulk.py --device cpu --coarse 3 --runs silo-large-M1:60
 

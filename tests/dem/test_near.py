@@ -36,7 +36,7 @@ SMALL = dict(length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, si
 
 @pytest.fixture
 def near_list_exceeded(monkeypatch):
-    """After every launch, of each scene: may near links miss a contact?"""
+    """Record after every launch, for each scene, whether near links may miss a contact."""
     found: list[int] = []
     settle = Batch.settle
 

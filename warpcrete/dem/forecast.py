@@ -173,8 +173,10 @@ class _ShortenedCopy:
         return tiled(table, container.axis, pilot.length, kept * pilot.length), report
 
     def _time(self) -> None:
-        """Measure the wall times [s] of a step, of a neighbour list rebuild and of one row of the time series, and the
-        memory used [B]."""
+        """Measure the wall times [s] of a step, a neighbour list rebuild and a row, and the memory used [B].
+
+        A row is one row of the time series.
+        """
         simulation, stepper = self.simulation, self.stepper
         if self.spheres == 0:
             self.step = self.build = self.sample = 0.0
@@ -399,8 +401,7 @@ def _memory(simulation: ElementSimulation) -> dict[str, float]:
 
 
 def _features(simulation: ElementSimulation) -> dict[str, str]:
-    """Return, for each optional feature of the kernels, why the scene needs it, or "left out" if the scene does not
-    need it."""
+    """Return, for each optional feature of the kernels, why the scene needs it, or "left out" otherwise."""
     f, scene = simulation.model.features, simulation.scene
     bonds = [name for name, there in (("bonds between aggregates", scene.bonds), ("hydrated bonds", scene.hydration))
              if there] + [f"bonds of {group}" for group in scene.group_bonds]  # fmt: skip

@@ -284,8 +284,7 @@ class _Growth:
                 break
 
     def _rest(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
-        """Let the aggregates come to rest. If `fill` states a pressure, adjust sizes until the packing has this
-        pressure."""
+        """Let the aggregates come to rest; if `fill` states a pressure, adjust sizes until the packing has it."""
         pressure = self.fill.pressure
         looks_on_target, least, was_too_low = 0, 1e-3, None
         # Number of consecutive evaluations at which the pressure was off target in the same direction.

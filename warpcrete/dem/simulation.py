@@ -183,8 +183,10 @@ class ElementSimulation(Simulation):
         self.tell("settling", 1.0)
 
     def bond(self) -> None:
-        """Bond all pairs with a gap of at most `Bonds.gap`, if the scene has bonds, and hydrate the fraction of these
-        bonds that `Scene.hydration` states."""
+        """Bond all pairs with a gap of at most `Bonds.gap`, and hydrate the share of bonds in `Scene.hydration`.
+
+        Do nothing if the scene has no bonds.
+        """
         scene = self.scene
         if scene.bonds is None:
             return

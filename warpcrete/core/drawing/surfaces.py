@@ -229,7 +229,7 @@ class _Net:
             self._fill(number)
 
     def _numbered(self, cells: np.ndarray) -> np.ndarray:
-        """Number the grid cells that contain a vertex, and return the array of these numbers.
+        """Return an array with a consecutive number for every grid cell that contains a vertex.
 
         Entries of the array for cells without a vertex are meaningless.
         """

@@ -220,8 +220,7 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in values.items() if name in meant}
 
     def _effective(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Return those parameters in `values` that have an effect, which may depend on the values of other
-        parameters."""
+        """Return the parameters in `values` that have an effect; this may depend on the values of other parameters."""
         known = declared_fields(self.parameters)
         composite = {name: field for name, field in known.items() if any(field.of_kind(CompositeRule))}
 

@@ -168,9 +168,7 @@ class Batch(JointArrays):
 
     @property
     def has_step(self) -> bool:
-        """True if a recorded time step exists that is valid for the current arrays and the current ranges of the CPU
-        threads."""
-
+        """True if a recorded time step is valid for the current arrays and the current ranges of the CPU threads."""
         return self._step is not None
 
     def set_goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
@@ -352,8 +350,7 @@ class Batch(JointArrays):
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:
-        """Wait until the device has completed all launched time steps; return a copy of the control flags of all
-        scenes."""
+        """Wait until the device has completed all launched steps; return a copy of the control flags of all scenes."""
         if self.parallel:
             self._flags, self._clock = self.exchange.finish_read()
         return self.host_flags().copy()
@@ -363,8 +360,7 @@ class Batch(JointArrays):
         return merge_thread_stages(self._step)
 
     def launch_chunks(self, stages: list[Stage]) -> None:
-        """Launch `stages`: each stage is one kernel launch for a range (chunk) of bodies and runs on its own CPU
-        thread."""
+        """Launch `stages`, each on its own CPU thread; a stage is one kernel launch for a range (chunk) of bodies."""
         self._launcher.apart(stages)
 
     def sync_stages(self) -> list[Stage]:

@@ -337,8 +337,10 @@ class JointArrays:
         self._regrow("pairs", ["load"], self.load_capacity, each)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
-        """Enlarge the lists of mesh candidates (triangles near a sphere), so that each scene has room for its number of
-        candidates in `wanted`, shape (scenes,)."""
+        """Enlarge the lists of mesh candidates (triangles near a sphere).
+
+        The new numbers of candidates are in `wanted`, shape (scenes,).
+        """
         if np.any(wanted > self.face_capacity):
             self._regrow("candidates", ["face"], self.face_capacity, wanted)
             self._clear_near_candidates()

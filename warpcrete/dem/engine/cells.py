@@ -75,8 +75,7 @@ class Cells:
         return float(np.max((2 * self._mean_radius * scale + b.rows["skin"])[self._full]))
 
     def fit(self, width: float, due: np.ndarray) -> None:
-        """Fit the block of grid cells of each scene marked in `due` to the scene's spheres; `width` is the cell width
-        [m]."""
+        """Fit the grid cells of each scene marked in `due` to the scene's spheres; `width` is the cell width [m]."""
         due = (due | ~self._fitted) & self._full
         if not due.any():
             return

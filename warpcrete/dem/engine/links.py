@@ -17,8 +17,7 @@ from .struct_types import Links
 
 
 def make_even(states: list[State]) -> None:
-    """Make the lengths of the pair arrays of all `states` even, because one link represents two entries of these
-    arrays."""
+    """Make the lengths of all pair arrays of `states` even, because one link represents two entries of them."""
     for state in states:
         for name in pair_bytes(state.model):
             array: DeviceArray = getattr(state.pairs, name)

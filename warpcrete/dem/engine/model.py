@@ -1,6 +1,4 @@
-"""Translate a scene into a model, which contains the constant device arrays of a run and the features that the scene
-needs.
-"""
+"""Translate a scene into a model: the constant device arrays of a run and the features that the scene needs."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

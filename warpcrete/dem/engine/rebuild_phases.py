@@ -1,5 +1,4 @@
-"""Phases of a rebuild of the neighbour lists: launches recorded in one fixed order, which the host and CUDA graphs
-use."""
+"""Phases of a rebuild of the neighbour lists, in the one fixed order that the host and CUDA graphs use."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -150,8 +150,7 @@ def wall_lane_bits(batch: Batch) -> int:
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
-    """Return the launches, for CPU thread `part`, that compute the contact forces on the spheres from `first` to `last`
-    - 1."""
+    """Return the launches of CPU thread `part` for the contact forces on the spheres from `first` to `last` - 1."""
     b, f = batch, batch.features
     contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]

@@ -182,8 +182,7 @@ class Stepper:
         return made
 
     def hydrate(self, fraction: float, seed: int) -> int:
-        """Turn a random `fraction` of the bonds of the first kind into hydrated (stiff) bonds, and return their
-        number."""
+        """Hydrate (stiffen) a random `fraction` of the bonds of the first kind, and return their number."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, 1, HYDRATED, fraction, seed)
         if self.batch.features.subcycling and made:

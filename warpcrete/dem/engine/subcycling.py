@@ -124,19 +124,16 @@ class Subcycles:
         self.batch.invalidate_graphs()
 
     def stable_step(self, s: int) -> float:
-        """Return the latest estimate of the stable step of the sub-cycled (stiff) bonds alone, without safety factor
-        [s]."""
+        """Return the last estimated stable step of the sub-cycled bonds alone, without safety factor [s]."""
         return float(self.arrays.stable.numpy()[s])
 
     def state_dict(self, s: int) -> dict[str, HostArray | int]:
-        """Return the checkpoint data of the sub-cycled (stiff) bonds of scene `s`; empty if the scene has no such
-        bonds."""
+        """Return the checkpoint data of the sub-cycled bonds of scene `s`; empty if the scene has no such bonds."""
         stored = self._values(s)
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
     def load_state_dict(self, s: int, stored: Mapping[str, Any]) -> None:
-        """Restore the data of the sub-cycled bonds of scene `s` from `stored`, which :meth:`state_dict` has
-        returned."""
+        """Restore the data of the sub-cycled bonds of scene `s` from a dictionary of :meth:`state_dict`."""
         if stored:
             self._rounds[s] = stored["rounds"]
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
@@ -168,8 +165,7 @@ class Subcycles:
         self.batch.invalidate_graphs()
 
     def _join(self) -> None:
-        """Create joint device arrays of all scenes for the sub-cycled pairs, which have stiff bonds, and for their
-        bodies."""
+        """Create joint device arrays of all scenes for the pairs with sub-cycled bonds and for their bodies."""
         b = self.batch
         self._pairs = [len(each.get("lower", ())) for each in self._by_scene]
         rows = [self._rows(s) for s in range(b.count)]
@@ -237,8 +233,11 @@ class Subcycles:
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Copy positions and orientations of bodies with newly sub-cycled (stiff) bonds from the state, and set the
-        forces of these bonds to 0. `number` contains the permanent numbers of the bodies."""
+        """Prepare the data of newly sub-cycled (stiff) bonds.
+
+        Copy the positions and orientations of their bodies from the state, and set the forces of the bonds to 0.
+        `number` contains the permanent numbers of the bodies.
+        """
         bodies, stored = self.batch.states[s].bodies, self._by_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
@@ -247,8 +246,7 @@ class Subcycles:
             stored.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
 
     def locate(self) -> None:
-        """Find the entries of pairs with sub-cycled (stiff) bonds in rebuilt neighbour lists, and the indices of their
-        bodies."""
+        """Find the pairs with sub-cycled bonds in rebuilt neighbour lists, and the indices of their bodies."""
         for stage in self.locating():
             stage()
 
@@ -275,8 +273,7 @@ class Subcycles:
         ]
 
     def kernels(self) -> list[Stage]:
-        """Return launches of all kernels that sub-cycle stiff bonds, so that the kernels can be compiled before the
-        run."""
+        """Return launches of all kernels that sub-cycle stiff bonds, for compiling the kernels before the run."""
         if not self.batch.features.subcycling:
             return []
         rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]

@@ -1,5 +1,4 @@
-"""Yield stress of the lubrication layer: its growth while concrete stands still, and its decrease by slip (Roussel
-2006)."""
+"""Yield stress of the lubrication layer, which grows at rest and decreases by slip (Roussel 2006)."""
 
 from __future__ import annotations
 

@@ -89,8 +89,7 @@ class ContactLaw(Declared, ABC):
     @property
     @abstractmethod
     def stress_scale(self) -> float:
-        """Order of magnitude of the stress in a strongly compressed contact [Pa]; for a linear law it is the
-        modulus."""
+        """Order of magnitude of the stress in a strongly compressed contact [Pa]; the modulus in a linear law."""
 
     @property
     @abstractmethod

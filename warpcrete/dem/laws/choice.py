@@ -1,5 +1,4 @@
-"""Parameters with which a user replaces the default contact law of a scene by another law, for example by a new
-class."""
+"""Parameters that replace the default contact law of a scene by another law, for example by a new class."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar

@@ -99,8 +99,7 @@ def check_class(law: type) -> None:
 
 
 def _without_decorator(base: type) -> bool:
-    """Return whether a class inherits fields of a dataclass and annotates further fields, but is not a dataclass
-    itself."""
+    """Return whether a class that inherits from a dataclass annotates new fields but is not a dataclass itself."""
     known = getattr(base, "__dataclass_fields__", None)
     own = {key for key, kind in inspect.get_annotations(base).items() if "ClassVar" not in str(kind)}
     return known is not None and "__dataclass_fields__" not in vars(base) and bool(own)

@@ -93,8 +93,7 @@ class PlasticMortar(BinghamMortar):
 
         @wp.func
         def turned(touch: Touch, v: t.vec3):
-            """Return the force `v` rotated by the rotation that the pair of bodies made in the last step; its length
-            does not change."""
+            """Return the force `v` rotated by the rotation of the pair of bodies in the last step; keep its length."""
             square = wp.length_sq(v)
             after = v + wp.cross(touch.tilt + touch.twist * touch.normal, v)
             longer = scalar(1.0)

@@ -161,8 +161,7 @@ def _onset(depth: np.ndarray, push: np.ndarray) -> float | None:
 def _march(
     law: ContactLaw, where: Circumstances, dt: float, keep: int, gap: np.ndarray, opening: Any, sliding: Any
 ) -> SimpleNamespace:
-    """Return the results of a law's functions along a path of two spheres, and along the same path of a sphere at a
-    wall.
+    """Return the results of a law's functions along a path of two spheres and along the same path at a wall.
 
     The path has one value per step: the `gap` [m], the speed `opening` at which the gap grows [m/s], and the `sliding`
     speed [m/s]. With `keep` = 0, each step begins with a zero history. The results have the shape (2, steps, ...). The
@@ -317,8 +316,7 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
 
 
 def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, speed: float) -> None:
-    """Check that dashpots and friction act against the motion, and that `stiffness` returns large enough values for
-    them.
+    """Check that dashpots and friction act against the motion and that `stiffness` is large enough for them.
 
     The bodies approach, separate and slide at the `speed` [m/s]; each motion is tested at the overlaps `depth` [m].
     """

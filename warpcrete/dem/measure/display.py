@@ -143,8 +143,7 @@ class ElementDisplay(Display):
         return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return the permanent number, the velocity [m/s] and the largest contact force [N] of the body of each
-        sphere."""
+        """Return permanent number, velocity [m/s] and largest contact force [N] of the body of each sphere."""
         place = self.read("spheres.body")[self._sphere_order()]
         velocity, force = self.read("bodies.velocity"), self._largest_forces()
         return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
@@ -297,8 +296,7 @@ class ElementDisplay(Display):
         return found
 
     def _worn(self, number: int) -> Any:
-        """Return the wear record of wall `number`; None if no wear is recorded or if the wall is not divided into
-        patches.
+        """Return the wear record of wall `number`; None without a wear record or without patches.
 
         A plane is a single patch, so it has no distribution of wear that could be drawn.
         """
@@ -326,8 +324,7 @@ class ElementDisplay(Display):
         return None if worn is None else NANOMETRES * self.snapshot_value(f"wear of {number}", lambda: worn.depth)
 
     def wall_values(self, number: int) -> np.ndarray | None:
-        """Return the worn depth at the vertices of the drawn wall with the index `number` [nm], or None if it does not
-        wear."""
+        """Return the worn depth at the vertices of drawn wall `number` [nm], or None if it does not wear."""
         depth = self._depth(number := self._drawn[number])
         if depth is None:
             return None

@@ -113,8 +113,10 @@ def height_of_top(spheres: np.ndarray, radius: float) -> float:
 
 
 def height_around(spheres: np.ndarray, inner: float, outer: float) -> float:
-    """Return a heap's mean height at radii from `inner` to `outer` about x = y = 0 [m]; places without a sphere count
-    as height 0."""
+    """Return a heap's mean height [m] at radii from `inner` to `outer` about x = y = 0.
+
+    Locations without a sphere count as height 0.
+    """
     x, y, height = surface(spheres, (-outer, outer), (-outer, outer), FINE * float(spheres[:, 3].max()))
     square = x**2 + y**2
     return float(np.mean(np.maximum(height[(square >= inner**2) & (square <= outer**2)], 0.0)))

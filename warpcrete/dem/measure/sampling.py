@@ -111,8 +111,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the sampler from a `state_dict`: all rows of the time series, and everything on which the next row
-        depends."""
+        """Restore the sampler from a `state_dict`: the rows of the time series and the data that the next row needs."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])

@@ -69,8 +69,7 @@ class StationArrays:
 
 
 def read_arrays(model: Model, state: State) -> StationArrays:
-    """Compute the forces of all contacts; return them and the other arrays that measurements in slices of a pipe
-    need."""
+    """Compute the forces of all contacts; return all arrays that measurements in slices of a pipe need."""
     launch_recorded(state, "forces", lambda: _force_stages(model, state))
     arrays = {path: attrgetter(path)(state) for path in READ_ARRAYS}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))

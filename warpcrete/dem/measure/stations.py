@@ -47,8 +47,7 @@ class StationLog:
     """Measurements, one array of shape (slices, COLUMNS) for each sample; NaN in slices that concrete did not fill."""
 
     def add(self, model: Model, state: State, travel: float) -> None:
-        """Measure all slices of the pipe in the current state, and append the sample; `travel` is the travel of the
-        piston [m]."""
+        """Measure all slices of the pipe and append the sample; `travel` is the travel of the piston [m]."""
         self.samples.append(measured(self.stations, model, state, travel))
 
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:

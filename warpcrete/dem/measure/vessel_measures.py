@@ -62,8 +62,7 @@ def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
 
 
 def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Return whether the test is over, according to `rows` of the time series: the concrete is at rest, or has flowed
-    out."""
+    """Return whether the time series `rows` shows that the concrete is at rest or has flowed out."""
     return at_rest(vessel, rows) or (vessel.test.is_over(rows[-1]) and rows[-1]["time"] > vessel.opened)
 
 

@@ -52,8 +52,7 @@ class ConcreteDefaults:
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the parameters that follow from the concrete, which the user's parameters `values` state by name or by
-        file."""
+        """Return parameters of the concrete that the user's parameters `values` state by name or by file."""
         return elements_of(values, cls.of_concrete()[1], ConcreteChoice.concrete)
 
     def __post_init__(self) -> None:
@@ -198,8 +197,7 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the order of magnitude of the stress in strongly compressed contacts [Pa]; for a linear law it is the
-    modulus."""
+    """Return the order of magnitude of the stress [Pa] in strongly compressed contacts; a linear law's modulus."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 

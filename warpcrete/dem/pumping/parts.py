@@ -129,8 +129,7 @@ class PartElements(
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the parameters, by name, that follow from the files of a line, of a mesh and of a concrete in
-        `values`."""
+        """Return parameters, by name, from the files of a line, of a mesh and of a concrete in `values`."""
         said = {**parameters_from_line(values), **parameters_from_mesh(values, WAYS[:1])}
         return {**said, **super().implied({**said, **values})}
 
@@ -172,8 +171,7 @@ class Course:
 
     @property
     def advance(self) -> float:
-        """Distance [m] by which the front of the concrete moves during the piston's travel if the concrete keeps its
-        volume."""
+        """Distance [m] by which the front of the concrete moves in the piston's travel at constant concrete volume."""
         return self.travel * float(self.bores.at(0.0) / self.bores.at(self.axis.length)) ** 2
 
 
@@ -217,8 +215,7 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Return the arc lengths between which a pumping line is not a straight pipe [m]; None if the whole line is a
-    straight pipe."""
+    """Return the arc lengths [m] between which a line is not a straight pipe; None if all of it is straight."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None

@@ -52,8 +52,7 @@ def _finer(scene: Scene, error: float) -> str:
 
 
 def overlap_words(scene: Scene, overlap: float) -> str:
-    """Return a text with the largest overlap; for a contact law with soft shells around aggregates, it also states the
-    thickness of the shells."""
+    """Return a text with the largest overlap, and with the thickness of soft shells if the contact law has them."""
     words, law = f"largest overlap {overlap:.3g} of the smaller radius", scene.contact
     if isinstance(law, BinghamMortar):
         return f"{words}, of which shells of mortar are {2 * law.shell_fraction:.2g} in spheres of equal size"

@@ -41,8 +41,7 @@ class ClumpTemplate:
 
     @property
     def widths(self) -> np.ndarray:
-        """Sides of the bounding box in principal axes, divided by the diameter of the sphere of equal volume, shape
-        (3,)."""
+        """Sides of the bounding box in principal axes over the diameter of the sphere of equal volume, shape (3,)."""
         return np.max(self.offsets + self.radii[:, None], 0) - np.min(self.offsets - self.radii[:, None], 0)
 
     @property

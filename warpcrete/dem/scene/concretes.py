@@ -50,8 +50,7 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
 
 
 def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
-    """Return the parameters of the concrete `found`, for which only flow properties are known: bulk density and slip
-    layer.
+    """Return bulk density and slip layer of the concrete `found`, of which only flow properties are known.
 
     The walls then have no friction and resist only by the slip layer. Parameters that are not returned keep the values
     of Zhan (2019, Table 1).

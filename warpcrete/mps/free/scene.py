@@ -120,7 +120,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def fluid(self) -> FreeScene:
-        """This scene without aggregates that are simulated one by one; in this class, the scene itself."""
+        """The scene without aggregates that are simulated one by one; in this class, the scene itself."""
         return self
 
     def __post_init__(self) -> None:
