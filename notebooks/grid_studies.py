@@ -46,7 +46,7 @@ def shear_figure(panels: dict[str, tuple[Points, Points, list[float]]]) -> Figur
         axes.plot(stopped, np.full(len(stopped), 30.0), "x", color=rgb(SECOND), label="column stops with an error")
         axes.semilogy(*np.transpose(column), "o-", color=rgb(SECOND), label="column of particles")
         axes.semilogy(*np.transpose(periodic), "o-", color=rgb(RUN), label="periodic pipe on a grid")
-        axes.set(ylabel="error of the\nwall stress [%]", title=name, ylim=(1e-4, 100.0), yticks=(1e-4, 1e-2, 1, 100))
+        axes.set(ylabel="error of the\nwall stress [%]", title=name, ylim=(1e-5, 100.0), yticks=(1e-4, 1e-2, 1, 100))
         axes.yaxis.set_major_formatter("{x:g}")
     figure.axes[1].set_xlabel("slip velocity over mean velocity")
     legend_above(figure.axes[0], figure.axes[0].lines, width=0.9)
