@@ -219,8 +219,8 @@ def run_cases(
     by_name, found = simulations_of(record, module, folder, cases, lambda case: report_progress)
     simulations += [simulation for simulation, _ in by_name.values()]
     outcomes = _outcomes(by_name, lambda phase, fraction: report_progress(phase, fraction, {}))
-    found |= {name: _plain(outcome) for name, outcome in outcomes.items()}
-    return [found[case.name] for case in cases]
+    found |= outcomes
+    return [_plain(found[case.name]) for case in cases]
 
 
 def stop_callback(stop_requested: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
@@ -243,11 +243,16 @@ def stop_callback(stop_requested: Callable[[], bool], simulations: Sequence[Simu
 def _plain(outcome: Any) -> Any:
     """Return an outcome in a form that can be sent to another process.
 
-    A run is replaced by the contents of its result.json, an exception is kept, and anything else becomes None.
+    A run is replaced by the contents of its result.json. An exception loses its traceback, because the traceback holds
+    the arrays of the failed run: Dask would free their memory in another thread, and CUDA refuses to capture a graph
+    while another thread frees memory (error 906). Anything else becomes None.
     """
     if isinstance(outcome, Run):
         return outcome.result
-    return outcome if isinstance(outcome, Exception) else None
+    if not isinstance(outcome, Exception):
+        return None
+    outcome.__cause__ = outcome.__context__ = None  # Their tracebacks hold the same arrays.
+    return outcome.with_traceback(None)
 
 
 def outcome_of(folder: Path) -> Any:
