@@ -36,7 +36,7 @@ def main() -> None:
     given.add_argument("--concretes", nargs="+", default=["no1", "no2", "no3"])
     given.add_argument("--shapes", default="reference")
     given.add_argument("--coarse", type=float)
-    given.add_argument("--stiffer", type=float, default=25.0)
+    given.add_argument("--stiffer", type=float, default=5.0)
     given.add_argument("--seeds", type=int, default=3)
     given.add_argument("--flow", type=float, default=9 / 3600, help="[m3/s]")
     given.add_argument("--travel", type=float, default=0.5, help="of the piston in the whole line [m]")

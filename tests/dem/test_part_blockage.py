@@ -36,6 +36,13 @@ def test_a_part_that_is_not_blocked_says_so(device):
     assert all(0 < run.series[name][-1] < 0.8 for name in ("aggregate_inner", "aggregate_outer", "aggregate_front"))
 
 
+@pytest.mark.slow
+def test_the_default_part_passes_its_checks(device):
+    """With 1e5 Pa, the default of pipe units, the stones of a part are still being compressed at the end."""
+    run = Simulation(scenes.part_dem(), device=device).run()
+    assert all(passed for passed, _ in scenes.modules()["part-dem"].check(run).values()) and run["flux_ratio"] > 0.8
+
+
 def test_a_widening_part_is_not_blocked(device):
     """Where the bore is four times as wide, concrete advances a quarter as far; by volume it keeps up."""
     scene = scenes.part_dem(

@@ -39,7 +39,7 @@ from .exits import CHECK_FAILED, INTERRUPTED
 from .line_inputs import LineInputs, line_inputs
 from .option_amounts import HIGHEST_THIXOTROPY, THIXOTROPY_BAND, growth_of, option_amount
 
-ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5.0}
+ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 1.0}
 """Options of `warpcrete line` that affect only simulations by discrete elements, with their default values."""
 FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
 """Options of `warpcrete line` that have no effect if nothing is simulated, with their default values."""

@@ -274,7 +274,7 @@ def reproduce_command(**settings: Any) -> None:
               "layer")  # fmt: skip
 @click.option("--coarse", type=float, help="Factor by which the elements are enlarged  [default: the largest element "
               "becomes 0.3 times as wide as the narrowest bore]")  # fmt: skip
-@click.option("--stiffer", type=float, default=5.0, show_default=True, help="Factor by which the elastic modulus of "
+@click.option("--stiffer", type=float, default=1.0, show_default=True, help="Factor by which the elastic modulus of "
               "the elements is multiplied: stiff elements need more steps, soft elements stay compressed for "
               "longer")  # fmt: skip
 @click.option("--seeds", type=int, default=1, show_default=True, help="Number of random packings of elements; their "

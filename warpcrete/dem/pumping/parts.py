@@ -28,7 +28,7 @@ from ...geometry.one_pipe import (
     parameters_from_mesh,
 )
 from ...geometry.pipe_line import Part, PipeLine
-from ..laws import LawChoice, WallLawChoice
+from ..laws import OWN_LAW, LawChoice, WallLawChoice
 from .parameter_groups import (
     AggregateParameters,
     BondParameters,
@@ -125,7 +125,14 @@ class PartElements(
     ConcreteDefaults, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
     ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
-    """All parameters of a part of a pumping line: concrete, pipe, piston, contacts, plug, measurements and run."""
+    """All parameters of a part of a pumping line: concrete, pipe, piston, contacts, plug, measurements and run.
+
+    The default modulus is five times that of Zhan et al. (2019), which is the default of the pipe units. Softer
+    aggregates are still being compressed when the piston has completed its travel: with 1e5 Pa, only half as much
+    concrete leaves the default part as enters it, and the part counts as blocked.
+    """
+
+    modulus: Annotated[float, "Effective modulus of contacts [Pa]", Above(), OWN_LAW] = 5e5
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -35,13 +35,6 @@ straight pipe behind the part has the same length. The simulations of straight p
 LARGEST_STONE_RATIO = 0.3
 """Smallest ratio of the largest stone's diameter to the narrowest bore of the line in a simulation. If the stones are
 smaller, they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
-MODULUS_FACTOR = 5.0
-"""Default factor by which the elastic modulus of the elements is multiplied.
-
-Soft aggregates are still being compressed after they have travelled many pipe diameters, so that less concrete leaves a
-part of the line than enters it. The factor hardly changes the pressure. In straight pipe of 125 mm the loss is 9.48
-kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five times that modulus.
-"""
 PRESSED_RUN = "pressed"
 """Last entry in the keys of runs that belong to the second simulation of straight pipe.
 
@@ -75,7 +68,7 @@ class Elements:
     seeds: int = 1
     """Number of simulations of each kind of part. Each simulation has another random packing of the stones, and the
     scatter of the results gives the range of the pressure."""
-    stiffer: float = MODULUS_FACTOR
+    stiffer: float = 1.0
     """Factor by which the elastic modulus of the concrete's elements is multiplied in the simulations."""
 
     def __post_init__(self) -> None:
