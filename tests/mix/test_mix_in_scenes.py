@@ -1,6 +1,7 @@
 """Mixes in scenes, lines and commands, with other flow laws and factors of age."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from mixes import BULK, SPREADING, STONES, written
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
+from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.inputs.concretes import concrete
 from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.dem.scene.concretes import COVERAGE
@@ -228,6 +230,38 @@ def test_age_and_temperature_are_factors_that_a_file_states(tmp_path):
                         ({"viscosity_factor": 2e3}, "viscosity_factor = 2000.0: is impossible")):  # fmt: skip
         with pytest.raises(SceneError, match=says):
             scenes.tube(**given)
+
+
+def test_factors_of_age_and_temperature_have_a_source(tmp_path, capsys):
+    """The answers of mix and line state the source of the factors; factors without a source give a warning."""
+    path, again = tmp_path / "old.yaml", tmp_path / "again.yaml"
+    head = "mix: {density: 2350, slump: 180 mm}\nflow: {viscosity_factor: 1.2"
+    path.write_text(head + ", factor_source: cone after\n  60 min}\n", encoding="utf-8")
+    again.write_text("base: old.yaml\n", encoding="utf-8")
+    words = "which multiply yield stresses by 1 and viscosities by 1.2 (source: cone after 60 min)"
+    line = ["line", "--diameter", "125mm", "--length", "100m", "--flow", "30m3/h", "--concrete"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PlausibilityWarning)
+        assert concrete(str(again)).factor_source == concrete(str(path)).factor_source == "cone after 60 min"
+        for asked in (["mix", str(path)], [*line, str(path)], [*line, str(again)]):
+            done = CliRunner().invoke(cli, asked)
+            assert done.exit_code == 0 and words in done.output, done.output
+        assert "factors" not in CliRunner().invoke(cli, [*line, "no1"]).output
+    assert CliRunner().invoke(cli, ["mix", str(path), "--out", str(tmp_path / "new.yaml")]).exit_code == 0
+    assert words in concrete(str(tmp_path / "new.yaml")).source
+    path.write_text(head + "}\n", encoding="utf-8")
+    with pytest.warns(PlausibilityWarning, match="old: viscosity_factor without a source; state where"):
+        assert "(no source stated)" in read_mix(path).remarks[-1]
+    path.write_text(head + ", factor_source: [1, 2]}\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"factor_source = \[1, 2\]: must be a text"):
+        read_mix(path)
+
+
+@pytest.mark.parametrize("text", ["mix: {density: 2350, factors: 2}\n", "base: no1\nyield_factor: 2\n"])
+def test_factors_outside_the_section_flow_are_refused_with_an_example(tmp_path, text):
+    (tmp_path / "a.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match=r"belong to the section 'flow' of the concrete's file: 'flow: \{yield_fac"):
+        read_mix(tmp_path / "a.yaml")
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,20 @@ from dataclasses import MISSING
 from typing import Any
 
 from warpcrete.core.inputs.amounts import patterns
-from warpcrete.core.inputs.concretes import SECTIONS, TEXTS
+from warpcrete.core.inputs.concretes import FACTOR_SOURCE, SECTIONS, TEXTS
 from warpcrete.core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
 from warpcrete.core.inputs.parameters import Above, CompositeRule, Field, OneOf, Within, declared_fields
 from warpcrete.dem.pumping.parameters import PipeParameters
-from warpcrete.geometry.line_entries import AMOUNTS, BEGINS, BEND_FACTOR, MOST_PARTS, MOST_POINTS, PARTS, WAYS
+from warpcrete.geometry.line_entries import (
+    AMOUNTS,
+    BEGINS,
+    BEND_FACTOR,
+    MOST_PARTS,
+    MOST_POINTS,
+    PARTS,
+    WAYS,
+    WITHOUT_ENTRIES,
+)
 from warpcrete.geometry.line_entries import KEYS as LINE_KEYS
 from warpcrete.geometry.line_entries import TEXTS as LINE_TEXTS
 from warpcrete.geometry.pumps import PUMP
@@ -51,10 +60,11 @@ def concrete_schema() -> Schema:
     fields = declared_fields(PipeParameters)
     _, known = PipeParameters.of_concrete()
     constants = declared_fields(Concrete) | {name: declared_fields(ConcreteParameters)[name] for name in FACTORS}
+    source = TEXT | {"description": "source of the factors for another age or temperature"}
     found = {
         **{name: TEXT | {"description": TEXT_DESCRIPTIONS[name]} for name in TEXTS},
         "elements": _object({name: field_schema(fields[name]) for name in known}, "parameters of discrete elements"),
-        "flow": _object({name: field_schema(field) for name, field in constants.items()},
+        "flow": _object({name: field_schema(field) for name, field in constants.items()} | {FACTOR_SOURCE: source},
                         "constants of a yield stress fluid with a slip layer"),
         "mix": _mix_section(),
     }  # fmt: skip
@@ -79,6 +89,7 @@ def line_schema() -> Schema:
                             "anyOf": [factors["factor"], _object(factors, "", ["factor"])]}  # fmt: skip
     found["begin"] = {"enum": list(BEGINS), "description": "direction in which the line begins"}
     parts = [_object({kind: _part(kind)}, f"a {kind}", [kind]) for kind in PARTS]
+    parts.append({"enum": list(WITHOUT_ENTRIES), "description": "a part without entries"})
     found["parts"] = {"type": "array", "minItems": 1, "maxItems": MOST_PARTS, "items": {"anyOf": parts},
                       "description": "parts in the order of the flow"}  # fmt: skip
     return _file("A pumping line of warpcrete", {name: found[name] for name in LINE_KEYS}) | {
@@ -207,7 +218,8 @@ def _part(kind: str) -> Schema:
         plain = name in special and (name != "to" or kind == "bend")
         found[name] = special[name] | {"description": text} if plain else quantity(unit, text)
     single = [found[next(iter(found))]] + ([found["points"]] if kind == "hose" else [])
-    return {"anyOf": [*single, _object(found)]}
+    empty: list[Schema] = [{"type": "null"}] if kind in WITHOUT_ENTRIES else []
+    return {"anyOf": [*single, _object(found), *empty]}
 
 
 def _mix_section() -> Schema:

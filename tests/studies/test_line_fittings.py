@@ -25,6 +25,7 @@ BEND = 0.25 * math.pi * (1 + 0.023 + 0.1 / 0.15 * 0.019)
         ({"hose": {"length": 8, "factor": 3}}, "hose", 8.0, 24 * METRE),
         ({"valve": "0.4 m"}, "valve", 0.4, 0.4 * METRE),
         ({"valve": {"equivalent": "20 m"}}, "valve", 0.5, 20 * METRE), ({"valve": {}}, "valve", 0.5, 0.5 * METRE),
+        ("valve", "valve", 0.5, 0.5 * METRE), ({"valve": None}, "valve", 0.5, 0.5 * METRE),
         ({"bend": "right"}, "bend", 0.25 * math.pi, BEND * METRE),
         ({"bend": {"to": "up", "equivalent": 6}}, "bend", 0.25 * math.pi, 6 * METRE),
         ({"bend": {"to": "up", "factor": "150 %"}}, "bend", 0.25 * math.pi, 0.375 * math.pi * METRE),
@@ -49,6 +50,13 @@ def test_a_reducer_with_an_equivalent_length_has_the_friction_of_straight_pipe_o
 def test_the_default_bend_is_at_least_two_diameters_wide():
     assert line_of({"diameter": 0.4, "parts": [{"bend": "left"}]}).parts[0].radius == 0.8
     assert line({"bend": "left"}).parts[0].radius == 0.5
+
+
+def test_a_valve_without_a_colon_has_a_label_in_us_units():
+    found = line_of({"diameter": "5 in", "parts": [{"straight": "10 ft"}, "valve"]})
+    assert (found.parts[1].kind, found.parts[1].label) == ("valve", "valve")
+    with pytest.raises(SceneError, match=r"part 1 = 'bend': must be one of straight, bend"):
+        line_of({"diameter": "5 in", "parts": ["bend"]})
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,9 @@ def test_without_a_flow_pressures_at_usual_flows_are_printed():
 def test_a_slump_replaces_the_concrete_of_a_file():
     own, other = called("burj-khalifa"), called("burj-khalifa", "--slump", "220 mm")
     assert own.exit_code == other.exit_code == 0 and "slump 220 mm at" in other.output and "no1 at" in own.output
+    for name, total in (("burj-khalifa", 183), ("shanghai-tower", 189)):
+        words = called(name).output.split("the concrete is unknown: this file assumes no1, while ")[1]
+        assert f"predicts {total} bar)" in words.splitlines()[0]
 
 
 @pytest.mark.parametrize(

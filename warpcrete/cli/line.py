@@ -22,7 +22,7 @@ from ..core.run.files import next_folder, write_json
 from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.measurements import Layer
-from ..mix.mix import Mix
+from ..mix.mix import Mix, factors_text
 from ..studies.lines.answers import pressure_text
 from ..studies.lines.fit import fit_line
 from ..studies.lines.fit_files import write_fit
@@ -300,7 +300,7 @@ def _finish(
     even if printing fails. With the option `--blocking`, the probability of a blockage is then simulated, printed and
     added to the file.
     """
-    said = [*said, *([] if settings["fit"] is not None else _other_layers(line, given)), "",
+    said = [*said, *_factors(given), *([] if settings["fit"] is not None else _other_layers(line, given)), "",
             *_rules(line, given.mix, folder)]  # fmt: skip
     if folder is not None:
         write_lines(said, folder)
@@ -311,6 +311,13 @@ def _finish(
         more = blocked.run(line, given.name, given.flow, folder, settings)
         write_lines([*said, "", *more], folder)
         click.echo("\n" + "\n".join(more))
+
+
+def _factors(given: LineInputs) -> list[str]:
+    """Return lines of text on the factors for another age or temperature that the concrete's file states."""
+    if given.source is None or given.factors == (1.0, 1.0):
+        return []
+    return ["", f"all numbers include {factors_text(given.factors, given.source.factor_source)}"]
 
 
 def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:

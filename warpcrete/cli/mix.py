@@ -8,13 +8,14 @@ import click
 
 from ..core.errors import PlausibilityWarning, positive, refuse
 from ..core.inputs.amounts import amount, is_customary
+from ..core.inputs.concretes import concrete as named
 from ..core.inputs.customary import both
 from ..core.inputs.limits import check_limit
 from ..core.inputs.yaml_files import yaml_text
 from ..core.run.files import atomic_file
 from ..dem.pumping.parameters import PipeParameters
 from ..mix.blocking import blocking_rules, rule_lines
-from ..mix.mix import Mix, read_mix
+from ..mix.mix import Mix, factors_text, read_mix
 from ..theory.laws import BINGHAM
 
 
@@ -64,6 +65,8 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
     law, and the mix states no separate slip layer for discrete elements, the section `elements` is left out.
     """
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
+    if mix.factors != (1.0, 1.0):
+        source += f"; includes {factors_text(mix.factors, named(name).factor_source)}"
     found: dict[str, object] = {"name": mix.name, "source": source}
     if mix.concrete.layer_law.name == BINGHAM or {"layer_yield", "layer_viscosity"} <= set(mix.elements):
         with warnings.catch_warnings():

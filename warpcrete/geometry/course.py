@@ -26,6 +26,7 @@ from .line_entries import (
     REDUCER_LENGTH,
     VALVE_DIAMETERS,
     WAYS,
+    WITHOUT_ENTRIES,
 )
 from .pipe_line import Part
 
@@ -63,6 +64,8 @@ class Course:
 
         `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
         """
+        if isinstance(entry, str) and entry in WITHOUT_ENTRIES:
+            entry = {entry: {}}
         if not isinstance(entry, Mapping) or len(entry) != 1:
             problem = f"must be one of {', '.join(PARTS)}, followed by the properties of the part"
             refuse(f"part {number}", entry, problem, "for example '- straight: {length: 10 m}'")
@@ -70,6 +73,8 @@ class Course:
         if kind in PART_HINTS:
             refuse(f"part {number}", kind, f"must be one of {', '.join(PARTS)}", PART_HINTS[kind])
         one_of(f"part {number}", kind, PARTS)
+        if said is None and kind in WITHOUT_ENTRIES:
+            said = {}
         if not isinstance(said, Mapping):
             listed = kind == "hose" and isinstance(said, Sequence) and not isinstance(said, str)
             said = {"points" if listed else next(iter(PARTS[kind])): said}

@@ -17,7 +17,7 @@ def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diamete
     """
     bore, found = _written(diameter, parts[0].diameter, INCH, "in"), []
     for part, entry in zip(parts, entries, strict=True):
-        ((kind, said),) = entry.items()
+        ((kind, said),) = entry.items() if isinstance(entry, Mapping) else ((entry, None),)
         sizes = said if isinstance(said, Mapping) else {next(iter(PARTS[kind])): said}
         label = ""
         if kind == "bend":

@@ -52,6 +52,8 @@ PARTS = {
 }
 """Kinds of pipeline parts, each with its entries, their units and their meaning. If a pipeline file states a single
 value for a part instead of entries, it is the value of the first entry listed here."""
+WITHOUT_ENTRIES = ("valve",)
+"""Kinds of pipeline parts all of whose entries are optional, so that a file may contain just the name of the part."""
 PART_HINTS = {
     **dict.fromkeys(("pipe", "level", "horizontal", "length"), "write 'straight: 10 m'"),
     **dict.fromkeys(("vertical", "riser", "rise", "up"),

@@ -9,7 +9,7 @@ from typing import Any
 from ..core.drawing.html import html_table
 from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
-from ..core.inputs.concretes import NamedConcrete, concrete, known_only
+from ..core.inputs.concretes import FACTOR_KEYS, NamedConcrete, concrete, known_only
 from ..core.inputs.customary import both
 from ..core.run.tables import dataframe
 from ..theory.pipe import Concrete, scaled
@@ -28,7 +28,7 @@ LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity"
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
 """Names of the constants that only flow laws other than Bingham's have; each is mapped to the name of the same property
 of a mix. A mix has such a constant only if its description states the value."""
-FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
+FACTORS = dict.fromkeys(FACTOR_KEYS, 1.0)
 """Names and default values of two factors on yield stresses and viscosities. The section `flow` of a concrete's file
 may state them, to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
@@ -264,9 +264,18 @@ def mix_in(found: NamedConcrete) -> Mix | None:
     mix = mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
     if yields == viscous == 1.0:
         return mix
-    said = ("the table does not include the factors in the section 'flow', which multiply yield stresses by "
-            f"{yields:g} and viscosities by {viscous:g}")  # fmt: skip
+    said = f"the table does not include {factors_text((yields, viscous), found.factor_source)}"
     return replace(mix, factors=(yields, viscous), remarks=(*mix.remarks, said))
+
+
+def factors_text(factors: tuple[float, float], source: str) -> str:
+    """Return a text on the `factors` on yield stresses and viscosities that a concrete's file states.
+
+    `source` is the source of the factors; empty if the file states none.
+    """
+    origin = f"source: {source}" if source else "no source stated"
+    return (f"the factors in the section 'flow', which multiply yield stresses by {factors[0]:g} and viscosities by "
+            f"{factors[1]:g} ({origin})")  # fmt: skip
 
 
 def mix_of(

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
 from ..core.inputs.amounts import LONGEST, amount, is_amount, is_customary
+from ..core.inputs.concretes import FACTORS_BELONG, MISPLACED_FACTORS
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
 from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, TOTALS, MixEntries
@@ -79,6 +80,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
             if "moist" in str(key).casefold():
                 problem = "is not an entry of a mix"
                 refuse("mix key", key, problem, "subtract the surface moisture from the sand, and add it to the water")
+            if key in MISPLACED_FACTORS:
+                refuse("mix key", key, "is not an entry of a mix", FACTORS_BELONG)
             if (own := OTHER_NAMES.get(name)) is not None:
                 refuse("mix key", key, f"is called {own!r} in a mix", f"write '{own}: {given[key]}'")
             one_of("mix key", key, KEYS)

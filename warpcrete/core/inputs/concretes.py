@@ -21,6 +21,7 @@ from typing import Any
 
 from ..errors import known_names, one_line, refuse, suggested
 from ..narrowing import is_dict
+from .limits import warn
 from .text_files import errors_located_at, name_of, read_mapping
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "concretes"
@@ -28,6 +29,16 @@ FILES = (".yaml", ".yml", ".json")
 SECTIONS = ("elements", "flow")
 TEXTS = ("name", "source", "calibrated", "base")
 KEYS = (*TEXTS, *SECTIONS, "mix")
+FACTOR_KEYS = ("yield_factor", "viscosity_factor")
+"""Entries of the section `flow` that describe the concrete at another age or temperature. They multiply all yield
+stresses and all viscosities."""
+FACTOR_SOURCE = "factor_source"
+"""Entry of the section `flow` that states where the factors in :data:`FACTOR_KEYS` come from."""
+FACTORS_BELONG = ("factors for another age or temperature belong to the section 'flow' of the concrete's file: 'flow: "
+                  "{yield_factor: 1.5, viscosity_factor: 1.2, factor_source: tribometer after 60 min}'")  # fmt: skip
+"""Hint for users who write such factors in another section."""
+MISPLACED_FACTORS = (*FACTOR_KEYS, FACTOR_SOURCE, "factor", "factors", "age", "temperature")
+"""Entries with which users try to describe the age or temperature of a concrete outside the section `flow`."""
 OF_MIXES = ("parts", "slump", "spread", "t500", "density", "air", "volume", "sieve", "sizes", "shape", "aggregate",
             "water_binder", "layer")  # fmt: skip
 """Entries of the section `mix` that users sometimes write outside this section by mistake."""
@@ -62,6 +73,8 @@ class NamedConcrete:
     flow: Mapping[str, float] = field(default_factory=dict[str, float])
     """Constants of this concrete as a yield stress fluid with a slip layer, in SI units; empty if unknown."""
     mix: MixSection | None = None
+    factor_source: str = ""
+    """Source of the factors for another age or temperature in the section `flow`; empty if the file states none."""
 
 
 def shipped() -> tuple[str, ...]:
@@ -108,6 +121,8 @@ def _read(path: Path, depth: int) -> NamedConcrete:
                 hint = known_names(key, KEYS)
                 if "diameter" in given:
                     hint = "a file with a diameter describes a line; use it as 'warpcrete line FILE'"
+                elif key in MISPLACED_FACTORS:
+                    hint = FACTORS_BELONG
                 elif key in OF_MIXES:
                     hint = "it belongs to the section 'mix': write 'mix:' above it, and indent it"
                 refuse("concrete", str(path), f"has the unknown key {key!r}", hint)
@@ -120,6 +135,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
                 problem = "must hold 'name: value' lines"
                 refuse(f"concrete {section}", found, problem, "indent these lines below the name of the section")
         sections[section] = dict(found)
+    factor_source = _factor_source(given, sections["flow"], name_of(path))
     mix = (
         MixSection(given["mix"], path.parent, elements=sections["elements"], flow=sections["flow"])
         if "mix" in given
@@ -131,14 +147,34 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         if mix is None and base.mix is not None:
             mix = replace(base.mix, **{section: {**getattr(base.mix, section), **sections[section]}
                                        for section in SECTIONS})  # fmt: skip
+        if not factor_source and not any(key in sections["flow"] for key in FACTOR_KEYS):
+            factor_source = base.factor_source
         sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
         hint = "add a section 'elements', 'flow' or 'mix', or name another concrete, as in 'base: no1'"
         refuse("concrete", str(path), "defines no properties", hint)
     return NamedConcrete(
-        **{"name": name_of(path), **texts}, elements=sections["elements"], flow=sections["flow"], mix=mix
-    )
+        **{"name": name_of(path), **texts}, elements=sections["elements"], flow=sections["flow"], mix=mix,
+        factor_source=factor_source,
+    )  # fmt: skip
+
+
+def _factor_source(given: Mapping[str, Any], flow: dict[str, Any], name: str) -> str:
+    """Remove the entry `factor_source` from the section `flow` of the concrete `name`, and return it as one line.
+
+    `given` are all entries of the file. A warning is given if the section states a factor other than 1 without a
+    source.
+    """
+    with errors_located_at(given, "flow"):
+        stated = flow.pop(FACTOR_SOURCE, None)
+        if stated is not None and not isinstance(stated, (str, int, float)):
+            refuse(f"concrete flow {FACTOR_SOURCE}", stated, "must be a text, such as 'tribometer after 60 min'")
+    source = "" if stated is None else one_line(str(stated))
+    if not source and (factors := [key for key in FACTOR_KEYS if flow.get(key, 1) not in (1, "1")]):
+        warn(f"concrete {name}: {' and '.join(factors)} without a source; state where the numbers come from, as in "
+             f"'{FACTOR_SOURCE}: tribometer after 60 min'")  # fmt: skip
+    return source
 
 
 def _base(name: str, path: Path, depth: int) -> NamedConcrete:

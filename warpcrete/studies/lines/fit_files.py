@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...core.inputs.concretes import MixSection, NamedConcrete
+from ...core.inputs.concretes import FACTOR_KEYS, FACTOR_SOURCE, MixSection, NamedConcrete
 from ...core.inputs.yaml_files import yaml_text
 from ...core.run.files import atomic_file
 from ...mix.entries import MixEntries
@@ -43,6 +43,8 @@ def fitted_concrete(
     found["mix"] = entries | {"layer": layer}
     # If the concrete had no mix, its flow constants are now in the section `mix`, so the section `flow` stays empty.
     flow = {} if section is None else _plain(section.flow)
+    if source is not None and source.factor_source and any(key in flow for key in FACTOR_KEYS):
+        flow[FACTOR_SOURCE] = source.factor_source
     others = {
         "elements": {} if source is None else _plain(source.elements if section is None else section.elements),
         "flow": {key: value for key, value in flow.items() if key not in LAYER_KEYS},
