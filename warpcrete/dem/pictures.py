@@ -22,7 +22,7 @@ from ..core.errors import refuse
 from ..core.units import number
 from ..geometry.rotation import rotate
 from .scene.strokes import strokes_of
-from .simulation import ElementRun
+from .simulation import ElementRun, ElementSimulation
 
 
 def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
@@ -117,7 +117,7 @@ def plot_stations(run: ElementRun) -> Any:
     return figure
 
 
-def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
+def draw(simulation: ElementSimulation, run: ElementRun, colouring: str | None) -> Any:
     """Return the figure of a run folder: profiles along the pipe if the run measured them, else a plot of the pressure.
 
     The pressure is plotted over time if the piston stops between strokes, and otherwise over the piston's travel. The

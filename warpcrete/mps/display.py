@@ -4,11 +4,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.drawing.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
+from ..core.drawing.display import GLASS, Curve, DrawnWall, Plot, Points, Profile
 from ..core.drawing.paint import palette_colours
 from ..core.drawing.style import RUN, THEORY
 from ..geometry.axis import Axis, Line
 from ..theory.pipe import velocity
+from .common.display import FlowRunDisplay
 from .probes import MIDDLE, Snapshot, over_radius
 
 GRAIN = np.array([120, 118, 112], np.uint8)
@@ -18,7 +19,7 @@ GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
 to the previous particle, so that the particles do not lie in one plane."""
 
 
-class FlowDisplay(Display):
+class FlowDisplay(FlowRunDisplay):
     """Display of a pipe flow, with the particles coloured by speed, by pressure, or by phase (grains or mortar)."""
 
     colourings: ClassVar = ("speed", "pressure", "phase")
@@ -72,7 +73,7 @@ class FlowDisplay(Display):
         return {"coarse aggregate": GRAIN, "mortar": MORTAR} if self.scale() is None else {}
 
     def _snapshot(self) -> Snapshot:
-        return self.snapshot_value("particles", lambda: Snapshot.of(self.simulation.flow))
+        return self.snapshot_value("particles", lambda: Snapshot.of(self.flow))
 
     def fields(self) -> dict[str, np.ndarray]:
         """Return velocity along the pipe [m/s] and pressure [Pa] of all particles."""

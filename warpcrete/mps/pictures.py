@@ -9,6 +9,7 @@ from ..core.drawing.style import MEASURED, RUN, SERIES, THEORY, legend_above, ne
 from ..core.run.run import Run
 from ..core.units import number
 from ..theory.pipe import velocity
+from .common.run import FlowRun
 
 LEFT = 0.65
 """Fraction of a figure's width that the panels with curves take up, if the figure shows particles on its right side."""
@@ -123,7 +124,7 @@ def _particles(
         legend_above(axes, curves=marks, width=1 - LEFT)
 
 
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
+def draw(simulation: FlowRun, run: Run, colouring: str | None) -> Any:
     """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
     if "profiles" not in run.result:
         return None

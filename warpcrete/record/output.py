@@ -11,7 +11,7 @@ from ..core.inputs.field_help import help_on_fields
 from ..core.inputs.origin import Arguments
 from ..core.run.checks import Check
 from ..core.run.files import check_new, folder_path
-from ..core.run.output import register_folders
+from ..core.run.output import RecordedSimulation, register_folders
 from ..core.run.recorder import Recorder
 from ..core.run.viewer import LOOPBACK
 from ..methods import Simulation, method_of
@@ -88,7 +88,7 @@ class RunFolder:
             return {kind.name: kind.default for kind in RECORDERS}
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}
 
-    def recorders(self, simulation: Simulation) -> list[Recorder]:
+    def recorders(self, simulation: RecordedSimulation) -> list[Recorder]:
         """Return the recorders that write this folder.
 
         Raises :class:`SceneError` for a setting that the simulation method does not have, such as lines between bodies
@@ -129,7 +129,7 @@ def check_of(scene: Any) -> Check | None:
     return method_of(scene).check if module is None else module.check
 
 
-def check_recorders(simulation: Simulation) -> list[Recorder]:
+def check_recorders(simulation: RecordedSimulation) -> list[Recorder]:
     """Return a list with a recorder of the acceptance checks, for a simulation without a folder.
 
     The list is empty if the scene has no checks, or if the simulation has such a recorder already.

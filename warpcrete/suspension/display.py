@@ -34,7 +34,7 @@ class SphereDisplay(GridDisplay):
 
     def sphere_centres(self) -> np.ndarray:
         """Return the centres of the spheres of all aggregates [m], shape (m, 3)."""
-        centres, bodies = self.read("aggregates.centre").astype(float), self.simulation.flow.aggregates
+        centres, bodies = self.read("aggregates.centre").astype(float), self.flow.aggregates
         return bodies.parts.centres(centres, self.read("aggregates.turn").astype(float))
 
     def with_spheres(
@@ -45,7 +45,7 @@ class SphereDisplay(GridDisplay):
         `numbers` are the indices of these spheres in the list of the spheres of all aggregates. With `cut`, only
         spheres in or behind the plane at this coordinate y [m] are drawn.
         """
-        parts = self.simulation.flow.aggregates.parts
+        parts = self.flow.aggregates.parts
         radii = parts.radius[numbers]
         speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)[parts.body[numbers]]
         if cut is not None:
@@ -93,7 +93,7 @@ class SuspensionDisplay(SphereDisplay, FreeDisplay):
 
     def _with_spheres(self, concrete: Surface, cut: bool) -> Surface:
         inside = is_inside(self.read("aggregates.centre").astype(float))
-        inside = inside[self.simulation.flow.aggregates.parts.body]
+        inside = inside[self.flow.aggregates.parts.body]
         copies = self._mirrored
         centres = np.concatenate([self.sphere_centres()[inside] * [a, b, 1.0] for a, b in copies])
         return self.with_spheres(

@@ -3,7 +3,7 @@
 These modules cannot import the simulation's class from the run loop, because the import would be circular.
 """
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -43,3 +43,26 @@ class SimulationOnDevice:
     """True if the run must end at its next sample, which adds a row to the time series."""
     finishing = False
     """True if all steps of the run are over, and its results are being written or have been written."""
+
+
+class DrawnSimulation(Protocol):
+    """Members of a simulation that its displays read, for classes that cannot import the simulation's class."""
+
+    @property
+    def scene(self) -> Any:
+        """Scene of the run; its type depends on the simulation method."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """Arrays that the time steps change; their type depends on the simulation method."""
+        ...
+
+    @property
+    def stepper(self) -> Stepped:
+        """Simulated state on the device, with its simulated time and its number of steps."""
+        ...
+
+    def unit(self, column: str) -> str:
+        """Return the unit of a column of the run's time series."""
+        ...

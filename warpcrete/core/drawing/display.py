@@ -9,6 +9,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from ..device.recorder_thread import RecorderThread
+from ..device.simulation_protocol import DrawnSimulation
 from ..errors import one_of
 from .paint import Paint, packed, palette_colours
 from .snapshots import Snapshot, on_host, snapshot_of
@@ -143,7 +144,7 @@ class Display(ABC):
     has_surface: ClassVar[bool] = False
     """True if the surface of the concrete is drawn instead of bodies."""
 
-    def __init__(self, simulation: Any, colouring: str | None = None) -> None:
+    def __init__(self, simulation: DrawnSimulation, colouring: str | None = None) -> None:
         self.simulation = simulation
         self.colouring = self.preferred if colouring is None else colouring
         one_of("colour", self.colouring, self.colourings)

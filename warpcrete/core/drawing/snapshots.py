@@ -15,7 +15,7 @@ import warp as wp
 
 from ..device.arrays import DeviceArray, host_copy, ones
 from ..device.exchange import PinnedBuffers
-from ..device.simulation_protocol import SimulationOnDevice
+from ..device.simulation_protocol import DrawnSimulation
 
 COPY_TIMEOUT = 60.0
 """Maximum time that copies from a device may take to arrive before an error is raised [s]."""
@@ -132,10 +132,10 @@ class _Latest:
         self.pool = PinnedPool()
 
 
-_latest: WeakKeyDictionary[SimulationOnDevice, _Latest] = WeakKeyDictionary()
+_latest: WeakKeyDictionary[DrawnSimulation, _Latest] = WeakKeyDictionary()
 
 
-def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
+def snapshot_of(simulation: DrawnSimulation, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
     """Return a snapshot of a simulation's state: the result of each function in `sources`, by the function's key.
 
     If several views of the simulation request the same name at the same step, its function is called only once.

@@ -15,6 +15,20 @@ CHECKPOINT = "checkpoint.npz"
 """File name of the checkpoint in a run folder."""
 
 
+class RecordedSimulation(Protocol):
+    """Members of a simulation that select its recorders, for modules that cannot import the simulation's class."""
+
+    scene: Any
+    threads: int
+    """Number of CPU threads of the run."""
+    recorders: list[Any]
+    """Recorders of the run."""
+    frame_interval: float | None
+    """Simulated time between two frames [s]; None for the default."""
+    checkpoint_every: float
+    """Wall time between two checkpoints [s]."""
+
+
 class RunOutput(Protocol):
     """Folder for the output of a run, with the recorders that write files into the folder."""
 
@@ -23,16 +37,18 @@ class RunOutput(Protocol):
         """Path of the folder for the output of a run."""
         ...
 
-    def recorders(self, simulation: Any) -> Sequence[Any]:
+    def recorders(self, simulation: RecordedSimulation) -> Sequence[Any]:
         """Return the recorders that write the output of `simulation` into this folder."""
         ...
 
 
 _folder_at: Callable[[Path], RunOutput] | None = None
-_without_folder: Callable[[Any], Sequence[Any]] | None = None
+_without_folder: Callable[[RecordedSimulation], Sequence[Any]] | None = None
 
 
-def register_folders(folder_at: Callable[[Path], RunOutput], without_folder: Callable[[Any], Sequence[Any]]) -> None:
+def register_folders(
+    folder_at: Callable[[Path], RunOutput], without_folder: Callable[[RecordedSimulation], Sequence[Any]]
+) -> None:
     """Register the two functions that the run loop needs from the package `record`.
 
     `folder_at` takes the path of a folder and returns a :class:`RunOutput` with default settings. `without_folder`
@@ -42,7 +58,7 @@ def register_folders(folder_at: Callable[[Path], RunOutput], without_folder: Cal
     _folder_at, _without_folder = folder_at, without_folder
 
 
-def recorders_without_folder(simulation: Any) -> Sequence[Any]:
+def recorders_without_folder(simulation: RecordedSimulation) -> Sequence[Any]:
     """Return the recorders that a `simulation` without a folder has in addition to the user's recorders."""
     return () if _without_folder is None else _without_folder(simulation)
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ...core.run.method import Quantity
+from ...core.run.run import Run
 from ...core.units import number
 from .blockage import STANDING_RATIO
 
@@ -46,7 +47,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def not_blocked_words(run: Any) -> str:
+def not_blocked_words(run: Run) -> str:
     """Return a phrase that says that the pipe of `run` was not blocked, and how reliable this statement is."""
     window, slowest = number(run.result["blockage_window"]), run.result.get("slowest_advance")
     travel = float(run.series["travel"][-1])
@@ -62,7 +63,7 @@ def not_blocked_words(run: Any) -> str:
             f"{number(slowest):.2f} times as far as the piston")  # fmt: skip
 
 
-def blocked_words(run: Any) -> str:
+def blocked_words(run: Run) -> str:
     """Return a phrase that says where the pipe of `run` was blocked, with the evidence for the blockage."""
     found = {name: number(run.result[f"blocked_{name}"]) for name in
              ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip

@@ -1,9 +1,10 @@
 """Display of a discrete element run: the colours, lines, plots and walls that recorders and viewers draw."""
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from ...core.device.simulation_protocol import DrawnSimulation
 from ...core.drawing.display import (
     GLASS,
     OTHER,
@@ -26,6 +27,7 @@ from ...geometry.axis import Axis
 from ...geometry.walls import Prescribed
 from ...kernels.dem.bond_parallel import HYDRATED
 from ..engine.bonding import bond_kinds
+from ..engine.model import Model
 from ..engine.pairs import chunks_of, pairs_of
 from ..scene.slices import Stations
 from .probes import largest_forces, listed_forces
@@ -72,6 +74,15 @@ ENERGIES = {
 """Label and colour of each energy that is plotted over time, by its column in the series."""
 
 
+class DrawnElements(DrawnSimulation, Protocol):
+    """Members of a discrete element simulation that its display reads."""
+
+    @property
+    def model(self) -> Model:
+        """Constant device arrays of the run, and the features of its scene."""
+        ...
+
+
 class ElementDisplay(Display):
     """Display of aggregates coloured by largest contact force, speed or size; a clump is drawn as its spheres."""
 
@@ -79,8 +90,9 @@ class ElementDisplay(Display):
     noun: ClassVar = "aggregates"
     has_network: ClassVar = True
 
-    def __init__(self, simulation: Any, colouring: str | None = None) -> None:
+    def __init__(self, simulation: DrawnElements, colouring: str | None = None) -> None:
         super().__init__(simulation, colouring)
+        self._model = simulation.model
         self._upper = self._limit()
         self._patches: dict[int, np.ndarray] = {}
         """Index of the wear patch (area over which wear is summed) at each vertex of a worn wall, by the number of the
@@ -88,7 +100,7 @@ class ElementDisplay(Display):
         self._worn_most = 0.0
         self._latest: tuple[float, np.ndarray] | None = None
         """Simulated time of the last stress measurement in the slices of the pipe [s], and the measured values."""
-        walls = simulation.model.walls
+        walls = self._model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
     def _limit(self) -> float:
@@ -150,7 +162,7 @@ class ElementDisplay(Display):
 
     def _pair_forces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return, for every listed pair, both sphere indices, the index in the pair arrays and the normal force [N]."""
-        model, state = self.simulation.model, self.simulation.state
+        model, state = self._model, self.simulation.state
         force = self.snapshot_value("pair forces", lambda: listed_forces(model, state))
         chunks = self.snapshot_value("chunks", lambda: chunks_of(state))
         i, j, place = pairs_of(self.read("pairs.start"), self.read("pairs.other"), chunks)
@@ -158,7 +170,7 @@ class ElementDisplay(Display):
 
     def _largest_forces(self) -> np.ndarray:
         """Return the largest contact force on each body [N], in the order of the state's arrays."""
-        model, state = self.simulation.model, self.simulation.state
+        model, state = self._model, self.simulation.state
         return self.snapshot_value("largest forces", lambda: largest_forces(model, state))
 
     def body_colours(self) -> np.ndarray:
@@ -238,10 +250,10 @@ class ElementDisplay(Display):
             # The samples are never changed after they have been recorded, so the display needs no copy.
             return self.snapshot_value("stations", lambda: sampler.log.samples[-1])
         unit = simulation.scene.contact.stress_scale * self._largest**3
-        stress = self.snapshot_value("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
+        stress = self.snapshot_value("body stresses", lambda: body_stresses(self._model, simulation.state, unit))
         probe, travel = simulation.scene.pressure, 0.0
         if probe is not None:
-            number = next(k for k, wall in enumerate(simulation.model.walls) if wall.name == probe.wall)
+            number = next(k for k, wall in enumerate(self._model.walls) if wall.name == probe.wall)
             travel = float(self.read("walls.travel")[number])
         s, _, tangent = self._on_axis(stations.axis)
         return stresses_along(
@@ -287,8 +299,10 @@ class ElementDisplay(Display):
         """Return the walls to draw as triangle meshes; infinite planes cannot be drawn."""
         found = []
         for number in self._drawn:
-            wall = self.simulation.model.walls[number]
-            vertices, faces = wall.drawn()
+            wall = self._model.walls[number]
+            surface = wall.drawn()
+            assert surface is not None
+            vertices, faces = surface
             colour = COLOURS.get(wall.name, OTHER)
             if (worn := self._worn(number)) is not None:
                 (vertices, faces, _), colour = worn.patches.surface(), WORN
@@ -356,7 +370,7 @@ class ElementDisplay(Display):
         reach = position[i, 3] + position[j, 3]
         touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
         kinds = np.zeros(len(place), int)
-        if self.simulation.model.features.bonds:
+        if self._model.features.bonds:
             kinds = bond_kinds(self.read("pairs.bond")[place])
 
         def lines(chosen: np.ndarray) -> Lines:

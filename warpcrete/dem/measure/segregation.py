@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run.method import Quantity
+from ...core.run.run import Run
 from ...geometry.bores import Bores
 from ..engine.model import Model
 from ..engine.state import State
@@ -225,7 +226,7 @@ QUANTITIES = (
 """Segregation results of a run; all values except `segregation_at_start` are measured at the end of the run."""
 
 
-def words(run: Any) -> str:
+def words(run: Run) -> str:
     """Return the line of a run's report that states its radial segregation and its mixing index."""
     start, end, sizes = (100 * run.result[name] for name in ("segregation_at_start", "segregation", "size_segregation"))
     return (

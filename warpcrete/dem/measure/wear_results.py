@@ -1,14 +1,26 @@
 """Results and figures of the wear of walls."""
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
 from ...core.drawing.style import RUN, SECOND, THIRD, legend_above, new_figure, open_frame, rgb
 from ...core.run.method import Quantity
 from ...core.units import number
-from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
+from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WearMap, WornWall
+
+
+class WornRun(Protocol):
+    """Members of a discrete element run that describe the wear of its walls."""
+
+    scene: Any
+    series: Mapping[str, np.ndarray]
+    """Columns of the time series, by name."""
+    result: Mapping[str, Any]
+    """Quantities of the whole run, by name."""
+    wear: WearMap | None
+    """Wear of the walls; None if the run did not measure it."""
 
 
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
@@ -118,12 +130,12 @@ QUANTITIES = (
 values of the most worn patch."""
 
 
-def report(run: Any) -> Iterator[tuple[str, str]]:
+def report(run: WornRun) -> Iterator[tuple[str, str]]:
     """Yield a line that describes the wear of the walls, or nothing if the run did not measure it."""
     result = run.result
-    if "wear_depth_per_hour" not in result:
+    wall = run.wear.main if run.wear is not None else None
+    if wall is None or "wear_depth_per_hour" not in result:
         return
-    wall = run.wear.main
     mean, worst = (1e6 * number(result[name]) for name in ("wear_depth_per_hour", "wear_largest_depth_per_hour"))
     where = ""
     if "wear_worst_along" in result:
@@ -139,7 +151,7 @@ def report(run: Any) -> Iterator[tuple[str, str]]:
     )
 
 
-def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
+def plot_wear(run: WornRun, wall: WornWall | None = None) -> Any:
     """Return a figure of the worn depth of a pipe per hour [um/h].
 
     The upper panel shows the depth over arc length and angle. The lower panel shows means of the depth along the pipe.

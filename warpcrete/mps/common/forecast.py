@@ -20,6 +20,7 @@ from ...core.run.run import Run
 from ...theory.laws import BINGHAM
 from ...theory.pipe import Concrete
 from .run import FlowRun
+from .stepping import Stepping
 
 TIMING_TIME = 1.0  # Minimum wall time over which steps are timed for a forecast [s].
 TIMED_STEPS = 10  # Maximum number of steps that are timed in one measurement.
@@ -142,7 +143,7 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
     return run, reached, [] if steady else [f"{unmet} within {reached:g} s"]
 
 
-def step_time(simulation: Any) -> float:
+def step_time(simulation: FlowRun) -> float:
     """Return the wall time of a step [s], measured over the next steps of the simulation."""
     flow = simulation.flow
     # The first steps capture the launch graph. They are taken here, so that the capture is not timed.
@@ -156,7 +157,7 @@ def step_time(simulation: Any) -> float:
     return float(np.quantile(times, 0.25)) / count
 
 
-def _steps_at_once(flow: Any) -> int:
+def _steps_at_once(flow: Stepping) -> int:
     """Return how many steps to time in one measurement: as many as `TIMING_TIME` allows, from 1 to `TIMED_STEPS`."""
     _, once = timed(lambda: flow.take(1), flow.device)
     return max(1, min(TIMED_STEPS, int(TIMING_TIME / max(once, 1e-9))))

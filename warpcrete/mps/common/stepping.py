@@ -23,6 +23,7 @@ from ...core.run.run import Run
 from ...kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ...kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
+from .run import FlowRun
 
 # Maximum number of steps in one launch graph, on one CPU thread, on several CPU threads, and on a GPU.
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}
@@ -194,7 +195,7 @@ class Stepping(ABC):
 class _Run:
     """One of several simulations that run at the same time, each on a separate CUDA stream."""
 
-    def __init__(self, simulation: Any, checkpoint: Path | None) -> None:
+    def __init__(self, simulation: FlowRun, checkpoint: Path | None) -> None:
         self.simulation, self.checkpoint = simulation, checkpoint
         self.outcome: Run | BaseException | None = None
         self._stream = wp.Stream(simulation.device) if simulation.device.is_cuda else None
@@ -202,7 +203,7 @@ class _Run:
 
     @property
     def _flow(self) -> Stepping:
-        return self.simulation.stepper
+        return self.simulation.flow
 
     def begin(self, abreast: int) -> None:
         """Prepare the simulation and run it until its first steps can be launched.
@@ -268,7 +269,7 @@ class _Run:
 
 
 def run_abreast(
-    simulations: Sequence[Any], checkpoints: Sequence[Path | None], progress: Progress
+    simulations: Sequence[FlowRun], checkpoints: Sequence[Path | None], progress: Progress
 ) -> list[Run | BaseException]:
     """Run several flows on one device; return the result of each run, or the error with which it failed.
 

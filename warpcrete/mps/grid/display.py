@@ -4,9 +4,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.drawing.display import Display
 from ...core.drawing.paint import palette_colours
 from ...core.drawing.surfaces import Cut, Level, Surface, revolved, smoothed, surface_of
+from ..common.display import FlowRunDisplay
 from .layout import GridLayout
 
 HALF_CELL = 0.5
@@ -17,7 +17,7 @@ FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
 """Name of the field that the colours of the concrete show, by the value of the display's attribute `colouring`."""
 
 
-class GridDisplay(Display):
+class GridDisplay(FlowRunDisplay):
     """Display of a flow on a grid: the surface of the concrete, and some of its particles with their mirror images.
 
     The surface is where the cells are half full. Each colour on the surface is a mean over the particles in the nearest

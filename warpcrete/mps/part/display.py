@@ -106,7 +106,7 @@ class PartDisplay(GridDisplay):
 
     def _friction_ahead(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m], and the frictional pressure loss from each of them to the end of the part [Pa]."""
-        return self.snapshot_value("friction ahead", lambda: friction_ahead(self.simulation.flow))
+        return self.snapshot_value("friction ahead", lambda: friction_ahead(self.flow))
 
     def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m] and the mean pressure in the cross-section at each of them, including weight [kPa]."""

@@ -19,6 +19,7 @@ from ...core.run.files import folder_path, read_json, read_record, write_json
 from ...core.run.forecast import Forecast
 from ...core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES
 from ...core.run.provenance import provenance
+from ...core.run.simulation_base import SimulationBase
 from ...methods import method_of
 from ...record.recorders import RECORDERS, DrawSettings
 from ...scenes import modules
@@ -105,7 +106,7 @@ def explain(
     return Explanation(scene.name, forecast, tuple(savings), source)
 
 
-def _frames(simulation: Any) -> dict[str, float]:
+def _frames(simulation: SimulationBase) -> dict[str, float]:
     """Return the mean wall time per frame [s] of each recorder that is on by default, by the name of the recorder.
 
     This time includes the time for finishing the recording at the end of a run, divided by the number of frames.

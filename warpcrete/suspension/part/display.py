@@ -38,7 +38,7 @@ class PartSuspensionDisplay(SphereDisplay, PartDisplay):
 
     def _with_aggregates(self, mortar: Surface, cut: bool) -> Surface:
         inside = is_inside(self.read("aggregates.centre").astype(float))
-        chosen = np.flatnonzero(inside[self.simulation.flow.aggregates.parts.body])
+        chosen = np.flatnonzero(inside[self.flow.aggregates.parts.body])
         frame, signs, centres = Frame(self._suspension), self._mirror_signs, self.sphere_centres()[chosen]
         places = np.concatenate([frame.to_scene(centres * [1.0, sign, 1.0]) for sign in signs])
         return self.with_spheres(mortar, places, np.tile(chosen, len(signs)), self.cut if cut else None)

@@ -100,12 +100,12 @@ class StretchDisplay(SphereDisplay):
         )))  # fmt: skip
 
     def _velocities(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        radius, velocity = self.snapshot_value("velocities", lambda: velocity_profile(self.simulation.flow))
+        radius, velocity = self.snapshot_value("velocities", lambda: velocity_profile(self.flow))
         return (1e3 * radius, velocity), (1e3 * radius, self._scene.velocity_alone(radius))
 
     def _fractions(self) -> tuple[np.ndarray, np.ndarray]:
-        radius = self.snapshot_value("velocities", lambda: velocity_profile(self.simulation.flow))[0]
-        return 1e3 * radius, self.snapshot_value("fractions", lambda: fraction_profile(self.simulation.flow))
+        radius = self.snapshot_value("velocities", lambda: velocity_profile(self.flow))[0]
+        return 1e3 * radius, self.snapshot_value("fractions", lambda: fraction_profile(self.flow))
 
     def walls(self) -> list[DrawnWall]:
         """Return the wall of the pipe, slightly wider than the mortar, so that both surfaces remain visible."""
