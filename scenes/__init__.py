@@ -5,15 +5,17 @@ it::
 
     import warpcrete
     run = warpcrete.Simulation(warpcrete.scenes.slump(yield_stress=80)).run()
+
+Scenes import `core`, `geometry`, `theory`, `standards` and the simulation methods, but no module that runs or records
+scenes. To read the code, start with `slump`, a complete scene in one file, or with `lcpc`, a test for two methods in
+one file.
 """
 
 # Every file in this folder is a scene. Its name is the file's name, with hyphens instead of underscores. Three names in
 # the file define the scene: the function `scene` builds it, the function `check` judges its runs, and `trading` holds
 # the settings that trade its accuracy for run time. If both a flow and discrete elements can simulate a test, there are
 # two scenes, NAME and NAME-dem. The scene NAME-dem has a file of its own, NAME_dem.py, or else the file of NAME defines
-# both scenes, with the names `scene_dem`, `check_dem` and `trading_dem` for NAME-dem. Scenes import `core`, `geometry`,
-# `theory`, `standards`, `dem` and `mps`, but no module that runs or records scenes. To read the code, start with
-# `slump`, a complete scene in one file, or with `lcpc`, a test for both methods in one file.
+# both scenes, with the names `scene_dem`, `check_dem` and `trading_dem` for NAME-dem.
 
 import importlib
 import pkgutil

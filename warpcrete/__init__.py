@@ -4,6 +4,10 @@ This example runs the scene of a vertical pipe on the CPU::
 
     import warpcrete
     run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
+
+This package gathers the names that users need from all other packages, and no other module imports it. To read the
+code, start with the module `methods`, which imports `core` and lists all simulation methods, and go on with
+`core.run.run_loop`.
 """
 
 import importlib

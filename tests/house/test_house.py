@@ -24,6 +24,7 @@ INSIDE = {
     "dem": {"laws": 0, "scene": 1, "pumping": 2, "engine": 2, "measure": 3, "": 4},
     "mps": {"common": 0, "grid": 1, "": 2, "free": 2, "part": 2},
     "studies": {"": 0, "calibration": 1, "lines": 1, "reproduction": 1, "tradeoffs": 1, "validation": 2},
+    "suspension": {"": 0, "part": 1, "stretch": 1},
 }
 """Subpackages of a package and how high they stand; those at the same height do not import each other."""
 ALONE = {("scenes", "methods"), ("record", "verification")}
@@ -114,6 +115,13 @@ def test_imports_inside_a_package_point_one_way(package):
         for target in imports(module):
             if target.startswith(f"{package}.") and part(target) != part(module):
                 assert heights[part(target)] < heights[part(module)], f"{module} imports {target}"
+
+
+def test_each_package_says_what_it_may_import_and_where_to_start_reading():
+    for module, path in MODULES.items():
+        if path.name == "__init__.py":
+            words = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            assert "import" in words and re.search(r"\b([Ss]tart|begin)\s+with\b", words), module
 
 
 def test_no_module_imports_itself_in_a_circle():

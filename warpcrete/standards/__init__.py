@@ -1,7 +1,8 @@
 """Standard tests of fresh concrete, one file for each vessel; flows and discrete elements simulate the same tests.
 
-The scenes build the vessel and simulate the test. If one file in `scenes` contains all scenes of a test, that file also
-defines the test, as in `scenes/lcpc.py`.
+Modules here import `core`, `theory` and each other, but no simulation method. A test whose scenes are all in one file
+of `scenes` is defined in that file, as in `scenes/lcpc.py`. To read the code, start with `standard_test`, which defines
+what a standard test is, and go on with `slump`.
 """
 
 from .funnel import FUNNEL

@@ -2,8 +2,8 @@
 
 `run_cases` runs the cases and yields their results, and `table` and `figure` show them. The command `warpcrete verify`
 runs the cases and shows the results. The tolerances follow from measured errors. Tests run the same cases on every
-device and in both precisions. Modules here import `core`, `geometry`, `theory`, both simulation methods and `kernels`,
-but no recorder. To read the code, start with `case`, which defines a case, and go on with `contacts`.
+device and in both precisions. Modules here import `core`, `geometry`, `theory`, all simulation methods and their
+kernels, but no recorder. To read the code, start with `case`, which defines a case, and go on with `contacts`.
 """
 
 import math

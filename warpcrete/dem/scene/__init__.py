@@ -1,6 +1,7 @@
 """Description of a scene of discrete elements: bodies, clumps, sizes, containers, bonds, slices and strokes.
 
-Modules here import `core`, `geometry`, `mix` and `dem.laws`; none of them allocates device arrays. Start with `scene`.
+Modules here import `core`, `geometry`, `theory`, `mix`, `standards` and `dem.laws`; none of them allocates device
+arrays. Start with `scene`.
 """
 
 import importlib
