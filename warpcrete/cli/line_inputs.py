@@ -1,5 +1,6 @@
 """Line and concrete of the command `warpcrete line`: read from files, or described by a few options."""
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -47,20 +48,20 @@ class LineInputs:
     guessed: bool = False
     """True if the user stated only the slump or spread of the concrete."""
 
-    @property
+    @functools.cached_property
     def factors(self) -> tuple[float, float]:
         """Factors on yield stresses and on viscosities from the concrete's file, for its age or temperature."""
         if self.mix is not None:
             return self.mix.factors
-        stated = flow_amounts(named(self.name))
+        stated = flow_amounts(self.source or named(self.name))
         return stated.get("yield_factor", 1.0), stated.get("viscosity_factor", 1.0)
 
-    @property
+    @functools.cached_property
     def source(self) -> NamedConcrete | None:
         """Contents of the concrete's file, or a shipped concrete; None if the user stated only the slump or spread."""
         return None if self.guessed else named(self.name)
 
-    @property
+    @functools.cached_property
     def concrete(self) -> Concrete:
         """Flow properties of the concrete, which is a yield stress fluid with a slip layer."""
         if self.guessed and self.mix is not None:

@@ -50,6 +50,7 @@ def yield_of_heap(spread: float, density: float) -> float:
     return root(lambda stress: heap_volume(spread / 2, stress, density) - VOLUME, 0.0, STIFFEST)
 
 
+@functools.lru_cache(maxsize=256)
 def yield_of_slump(slump: float, density: float, bears: float = math.sqrt(3)) -> float:
     """Return the yield stress [Pa] at which the cone slumps by `slump` [m].
 

@@ -1,7 +1,6 @@
 """HTML tables for notebooks."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from typing import Any
 
 from ..inputs.origin import changed_fields
@@ -9,6 +8,8 @@ from ..inputs.origin import changed_fields
 
 def html_table(rows: Iterable[Sequence[object]], head: Sequence[object] = (), caption: str = "") -> str:
     """Return rows of cells as an HTML table, with an optional header row and caption."""
+    from html import escape  # A pump line's answer in a terminal needs no HTML, whose import takes 2 ms.
+
     lines = [f'<caption style="text-align: left">{escape(caption)}</caption>'] if caption else []
     if head:
         lines.append("<tr>" + "".join(f"<th>{escape(str(cell))}</th>" for cell in head) + "</tr>")

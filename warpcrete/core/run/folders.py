@@ -1,7 +1,7 @@
 """Exclusive write access to folders, by a lock that the system releases whenever the owning process ends."""
 
 import os
-import socket
+import platform
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -41,7 +41,7 @@ class FolderLock:
         self._path = folder / LOCK
         self._file = self._locked()
         os.ftruncate(self._file, 0)
-        owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
+        owner = f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
         # Ignore a full disk: the lock works even if the owner's name cannot be written into the lock file.
         with suppress(OSError):
             os.write(self._file, owner.encode())

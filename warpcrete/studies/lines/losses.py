@@ -77,7 +77,9 @@ def course_of(losses: Sequence[float]) -> list[float]:
 
 
 def with_layer_factor(concrete: Concrete, factor: float) -> Concrete:
-    """Return a copy of the concrete whose slip layer has `factor` times the resistance."""
+    """Return the concrete with a slip layer that has `factor` times the resistance; for 1, the unchanged concrete."""
+    if factor == 1:
+        return concrete
     return replace(
         concrete,
         slip_viscosity=factor * concrete.slip_viscosity,
