@@ -22,6 +22,8 @@ from warpcrete.core.inputs.amounts import amount
 from warpcrete.mix.layer import (
     ASSUMED,
     ASSUMED_ERROR_FACTOR,
+    ASSUMPTION,
+    ESTIMATE,
     FILM_ERROR_FACTOR,
     PASTE_ERROR_FACTOR,
     PASTE_YIELD,
@@ -35,7 +37,7 @@ from warpcrete.mix.layer import (
 )
 from warpcrete.mix.mix import Mix
 from warpcrete.mix.reading import USUAL_AIR
-from warpcrete.mix.rheology import HEAP_CENTRE_MEDIAN
+from warpcrete.mix.rheology import HEAP_CENTRE_MEDIAN, unknown_viscosity
 from warpcrete.studies.validation.cases import Case, held_out_groups, shipped_cases
 from warpcrete.studies.validation.predictions import mix_of_case
 from warpcrete.theory.inverse import BASE, HEIGHT, TOP
@@ -94,7 +96,12 @@ def of_slump(case: Case, mix: Mix) -> Layer:
 
 
 def of_film(case: Case, mix: Mix) -> Layer | None:
-    """Return the layer of paste between the aggregates; a guessed viscosity and 170 kg/m3 of water fill gaps."""
+    """Return the layer of paste between the aggregates; None if the viscosity of the concrete was not measured."""
+    return None if mix["viscosity"].way.startswith((ASSUMPTION, ESTIMATE)) else film(mix)
+
+
+def film(mix: Mix) -> Layer | None:
+    """Return the layer of paste between the aggregates, with 170 kg/m3 of water if the amount is not published."""
     aggregate = mix.given.sand_and_stone
     if aggregate is None:
         if mix.given.paste_solids is None:
@@ -107,10 +114,10 @@ def of_film(case: Case, mix: Mix) -> Layer | None:
 
 
 def of_guessed_film(case: Case, mix: Mix) -> Layer | None:
-    """Return the layer of paste between the aggregates with a viscosity of 70 Pa s for all concretes."""
-    figure = replace(mix["viscosity"], value=70.0, low=20.0, high=400.0)
+    """Return the layer of paste between the aggregates with the viscosity that the program assumes without data."""
+    figure = unknown_viscosity(replace(mix.given, paste_solids=None, sand_and_stone=None))
     figures = tuple(figure if each.name == "viscosity" else each for each in mix.figures)
-    return of_film(case, replace(mix, figures=figures))
+    return film(replace(mix, figures=figures))
 
 
 def of_ratio(constant: float) -> Candidate:
@@ -226,7 +233,7 @@ def candidates_of(fitted: Sequence[Case]) -> dict[str, Candidate]:
         "assumption without data, 850 Pa s/m": assumed,
         "slump: JGJ/T 10, after Morinaga": of_slump,
         "film between the aggregates, viscosity of 70 Pa s guessed": of_guessed_film,
-        "film between the aggregates, viscosity of `warpcrete mix`": of_film,
+        "film between the aggregates, viscosity measured": of_film,
         f"{constant:.0f} (water/binder)^-1.5 Pa s/m": of_ratio(constant),
         "powder in the paste, constants 150 and 0.95": of_best_fit,
         "powder in the paste": of_paste,
