@@ -26,6 +26,7 @@ from warpcrete.verification import (
     stability,
     starting,
     suspensions,
+    suspensions_gaps,
     suspensions_many,
     vessels,
 )
@@ -70,10 +71,12 @@ def test_single_spheres_in_mortar_are_kept(monkeypatch, few_steps):
     found = {
         "settling": suspensions.settling(3, 0.25, 0.4, "cpu", "float64"),
         "sheared": suspensions.sheared(3, 8, (0.25, 0.1, 0.3), "cpu", "float64"),
-        "approaching": suspensions.approaching(3, 0.5, (0.3, 0.2, 0.1), "cpu", "float64"),
+        "approaching": suspensions_gaps.approaching(3, 0.5, (0.3, 0.2, 0.1), "cpu", "float64"),
         "falling": suspensions.falling_in_bingham(0.13, 1e4, "cpu", "float64"),
         "particles": suspensions.mortar_state((4, 4, 4), 0.01, "cpu", "float64").particle_spacing,
-        "resistance": [suspensions.approach_resistance(gap) for gap in (0.05, 0.5, 3.0)],
+        "wall": suspensions_gaps.approaching_wall(3, 0.5, (0.3, 0.2, 0.1), "cpu", "float64"),
+        "resistance": [suspensions_gaps.approach_resistance(gap) for gap in (0.05, 0.5, 3.0)],
+        "wall resistance": [suspensions_gaps.wall_resistance(gap) for gap in (0.05, 0.5, 3.0)],
     }
     asked = []
 
@@ -83,11 +86,13 @@ def test_single_spheres_in_mortar_are_kept(monkeypatch, few_steps):
             values = tuple(len(asked) + 0.1 * k for k in range(count))
             return values if count > 1 else values[0]
 
-        monkeypatch.setattr(suspensions, name, function)
+        monkeypatch.setattr(suspensions if hasattr(suspensions, name) else suspensions_gaps, name, function)
 
-    for name, count in {"settling": 1, "sheared": 2, "approaching": 1, "falling_in_bingham": 1}.items():
+    counts = {"settling": 1, "sheared": 2, "approaching": 1, "approaching_wall": 1, "falling_in_bingham": 1}
+    for name, count in counts.items():
         made_up(name, count)
-    rows = [row for case in suspensions.CASES for row in case.run("cpu", "float64")]
+    cases = [*suspensions.CASES, *suspensions_gaps.CASES]
+    rows = [row for case in cases for row in case.run("cpu", "float64")]
     kept.compare("verified-spheres", {**found, "rows": rows, "asked": asked}, SOLVED)
 
 

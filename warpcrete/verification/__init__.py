@@ -23,6 +23,7 @@ from . import (
     suspensions,
     suspensions_clumps,
     suspensions_friction,
+    suspensions_gaps,
     suspensions_many,
     vessels,
 )
@@ -35,7 +36,7 @@ def cases() -> list[Case]:
     """Return all verification cases, in the order in which the table of results lists them."""
     modules = (
         impacts, contacts, bonds, clumps, assemblies, stability, flows, starting, vessels, spreading, suspensions,
-        suspensions_clumps, suspensions_friction, suspensions_many,
+        suspensions_gaps, suspensions_clumps, suspensions_friction, suspensions_many,
     )  # fmt: skip
     return [case for module in modules for case in module.CASES]
 
