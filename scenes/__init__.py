@@ -17,6 +17,7 @@ one file.
 # two scenes, NAME and NAME-dem. The scene NAME-dem has a file of its own, NAME_dem.py, or else the file of NAME defines
 # both scenes, with the names `scene_dem`, `check_dem` and `trading_dem` for NAME-dem.
 
+import functools
 import importlib
 import pkgutil
 import sys
@@ -59,6 +60,12 @@ PIPE_AS_PART holds the defaults for all pipes, and BEND_AS_PART the defaults tha
 
 def modules() -> dict[str, ModuleType]:
     """Return the modules of all scenes, by scene name."""
+    return dict(_scene_modules())
+
+
+@functools.cache
+def _scene_modules() -> dict[str, ModuleType]:
+    """Import the files of this folder once, because listing the folder takes a millisecond."""
     names = [info.name for info in pkgutil.iter_modules(__path__) if not info.name.startswith("_")]
     found = {name: importlib.import_module(f"{__name__}.{name}") for name in names}
     found |= {f"{name}_dem": _second(module) for name, module in found.items() if hasattr(module, "scene_dem")}

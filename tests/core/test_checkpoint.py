@@ -1,5 +1,6 @@
 """Checkpoint and resume: the bits of an uncut run; damaged or foreign files are refused; a kill corrupts nothing."""
 
+import functools
 import json
 import signal
 import subprocess
@@ -78,6 +79,13 @@ class Cut(Recorder):
             simulation.stop_requested = self.stop
 
 
+@functools.cache
+def uncut_run(device, precision):
+    """Return a simulation of the mixed scene with its energy balance after its run, and the run; change neither."""
+    simulation = Simulation(mixed_scene(energy_balance=True), device=device, precision=precision)
+    return simulation, simulation.run()
+
+
 def test_what_a_checkpoint_holds_does_not_change_with_the_run(device):
     simulation = Simulation(mixed_scene(), device=device, precision="float32")
     simulation.begin()
@@ -95,8 +103,7 @@ def test_what_a_checkpoint_holds_does_not_change_with_the_run(device):
 def test_a_resumed_run_holds_the_bits_of_an_uncut_one(device, precision, row, tmp_path):
     path = tmp_path / "checkpoint.npz"
     scene = mixed_scene(energy_balance=True)
-    uncut = Simulation(scene, device=device, precision=precision)
-    whole = uncut.run()
+    uncut, whole = uncut_run(device, precision)
     first = Simulation(
         scene, device=device, precision=precision, checkpoint_path=path, recorders=[Cut(path, row, stop=True)]
     )

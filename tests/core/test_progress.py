@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 import tqdm.auto
-from pumping import command_process
+from pumping import command
 
 from warpcrete import scenes
 from warpcrete.core.device import launching
@@ -172,8 +172,8 @@ def test_terminals_and_notebooks_get_a_bar(where, monkeypatch, capsys):
 
 
 def test_the_command_writes_no_bar_into_a_pipe(tmp_path):
-    done = command_process("run", "channel", "--duration", "0.02", "--spacing", "0.01", "--length", "0.1", "--device",
-                           "cpu", "--no-usd", "--no-rerun", "--out", tmp_path / "run")  # fmt: skip
+    done = command("run", "channel", "--duration", "0.02", "--spacing", "0.01", "--length", "0.1", "--device", "cpu",
+                   "--no-usd", "--no-rerun", "--out", tmp_path / "run")  # fmt: skip
     assert "\r" not in done.stderr and all(re.match(r"(\w+: \d+ %, |note: )", x) for x in done.stderr.splitlines())
 
 

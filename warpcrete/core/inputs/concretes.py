@@ -77,6 +77,7 @@ class NamedConcrete:
     """Source of the factors for another age or temperature in the section `flow`; empty if the file states none."""
 
 
+@functools.cache
 def shipped() -> tuple[str, ...]:
     """Return the names of the concretes that come with the package."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))

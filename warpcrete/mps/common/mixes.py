@@ -1,5 +1,6 @@
 """Concretes for flows, by name or from a file, and the parameters of a scene that select them."""
 
+import functools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -179,9 +180,10 @@ def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
     )
 
 
-def flowing() -> list[str]:
+@functools.cache
+def flowing() -> tuple[str, ...]:
     """Return the names of the shipped concretes that have flow constants."""
-    return [name for name in shipped() if completed(name).flow]
+    return tuple(name for name in shipped() if completed(name).flow)
 
 
 def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
