@@ -45,7 +45,7 @@ class Simulated:
     def __init__(self, log, name, goals, fails_at=None, room=lambda: True, begins=True):
         self.log, self.name, self.goals, self.room, self.begins = log, name, goals, room, begins
         self.device = SimpleNamespace(is_cuda=False)
-        self.stepper, self.prepared, self.stop_requested = Flow(log, name, fails_at), False, False
+        self.flow, self.prepared, self.stop_requested = Flow(log, name, fails_at), False, False
 
     def begin(self, checkpoint):
         if not self.begins:
