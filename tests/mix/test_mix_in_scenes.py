@@ -14,7 +14,7 @@ from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.inputs.concretes import concrete
 from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.dem.scene.concretes import COVERAGE
-from warpcrete.mix.mix import completed, read_mix
+from warpcrete.mix.mix import completed, mix_of, read_mix
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.run import run_line
@@ -255,6 +255,18 @@ def test_factors_of_age_and_temperature_have_a_source(tmp_path, capsys):
     path.write_text(head + ", factor_source: [1, 2]}\n", encoding="utf-8")
     with pytest.raises(SceneError, match=r"factor_source = \[1, 2\]: must be a text"):
         read_mix(path)
+
+
+def test_a_dosage_per_hundred_pounds_of_cement_is_an_amount_per_cubic_yard():
+    """With 600 lb of cement in a cubic yard, 4 oz/cwt are 24 oz/yd3; fly ash does not count."""
+    parts = {"cement": "600 lb/yd3", "fly ash": "100 lb/yd3", "water": "33 gal/yd3", "sand": "1300 lb/yd3",
+             "stone": "1750 lb/yd3"}  # fmt: skip
+    own, plain = (mix_of({"parts": parts | {"water reducer": dose}, "slump": "5 in"}) for dose in
+                  ("4 oz/cwt", "24 oz/yd3"))  # fmt: skip
+    assert own.given.parts == pytest.approx(plain.given.parts)
+    load = {name: text.replace("/yd3", "") for name, text in parts.items()} | {"water reducer": "4 fl oz/cwt"}
+    loaded = mix_of({"volume": "1 yd3", "parts": load, "slump": "5 in"})
+    assert loaded.given.parts == pytest.approx(plain.given.parts)
 
 
 @pytest.mark.parametrize("text", ["mix: {density: 2350, factors: 2}\n", "base: no1\nyield_factor: 2\n"])

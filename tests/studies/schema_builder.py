@@ -31,6 +31,7 @@ from warpcrete.mix import entries as mixes
 from warpcrete.mix import measurements, stones
 from warpcrete.mix.mix import FACTORS
 from warpcrete.mix.points import PUMPED
+from warpcrete.mix.reading import PER_CEMENT
 from warpcrete.mps.common.mixes import ConcreteParameters
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.targets import TARGET_KEYS
@@ -232,6 +233,7 @@ def _mix_section() -> Schema:
     off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
     passing = quantity("1", "fraction of the mass that passes")
     texts = [{"type": "string", "pattern": text_pattern(unit)} for unit in ("kg/m3", "m3/m3", "kg", "m3")]
+    texts.append({"type": "string", "pattern": rf"^\s*{PER_CEMENT.pattern}\s*$"})
     ingredient: Schema = {"description": "mass [kg/m3], or with its unit", "anyOf": [{"type": "number"}, *texts]}
     special: dict[str, Schema] = {
         "parts": {"type": "object", "minProperties": 1, "additionalProperties": ingredient},

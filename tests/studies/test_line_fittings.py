@@ -55,8 +55,20 @@ def test_the_default_bend_is_at_least_two_diameters_wide():
 def test_a_valve_without_a_colon_has_a_label_in_us_units():
     found = line_of({"diameter": "5 in", "parts": [{"straight": "10 ft"}, "valve"]})
     assert (found.parts[1].kind, found.parts[1].label) == ("valve", "valve")
-    with pytest.raises(SceneError, match=r"part 1 = 'bend': must be one of straight, bend"):
-        line_of({"diameter": "5 in", "parts": ["bend"]})
+
+
+@pytest.mark.parametrize(
+    ("entry", "says"),
+    [
+        ("bend", "write '- bend: up'"), ("straight 10 m", "write '- straight: 10 m'"),
+        ("reducer", "write '- reducer: 100 mm'"), ("hose", "write '- hose: 1 m'"), ("elbow", "write 'bend: up', or"),
+        ("foo", "for example '- straight"), (3, "for example '- straight"),
+    ],
+)  # fmt: skip
+def test_a_part_without_a_colon_is_corrected(entry, says):
+    with pytest.raises(SceneError, match=r"must be one of straight, .*, followed by a colon") as refused:
+        line_of({"diameter": "5 in", "parts": [entry]})
+    assert says in str(refused.value)
 
 
 @pytest.mark.parametrize(

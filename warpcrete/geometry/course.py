@@ -43,8 +43,23 @@ through the hose's points. A larger angle is refused as a kink."""
 HOSE_LAYER = (0.1, 10.0)
 """Usual range of the resistance of the slip layer in a hose divided by the resistance of the slip layer in a pipe. A
 warning is given outside this range."""
+SHORT_FORMS = {"bend": "up", "reducer": "100 mm", "bore": "{file: valve.stl}"}
+"""Examples of the entries of a part; for all other kinds of parts, the example is a length."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
+
+
+def _without_colon(entry: Any) -> str:
+    """Return the correction of an entry that is no mapping from the kind of a part to its properties.
+
+    Users write '- elbow' or '- straight 10 m', which YAML reads as a text.
+    """
+    kind, _, rest = entry.partition(" ") if isinstance(entry, str) else ("", "", "")
+    if kind in PART_HINTS:
+        return PART_HINTS[kind]
+    if kind in PARTS:
+        return f"write '- {kind}: {rest.strip() or SHORT_FORMS.get(kind, '1 m')}'"
+    return "for example '- straight: {length: 10 m}'"
 
 
 class Course:
@@ -67,8 +82,8 @@ class Course:
         if isinstance(entry, str) and entry in WITHOUT_ENTRIES:
             entry = {entry: {}}
         if not isinstance(entry, Mapping) or len(entry) != 1:
-            problem = f"must be one of {', '.join(PARTS)}, followed by the properties of the part"
-            refuse(f"part {number}", entry, problem, "for example '- straight: {length: 10 m}'")
+            problem = f"must be one of {', '.join(PARTS)}, followed by a colon and the properties of the part"
+            refuse(f"part {number}", entry, problem, _without_colon(entry))
         kind, said = next(iter(entry.items()))
         if kind in PART_HINTS:
             refuse(f"part {number}", kind, f"must be one of {', '.join(PARTS)}", PART_HINTS[kind])

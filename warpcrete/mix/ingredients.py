@@ -112,6 +112,11 @@ def powder_mass(parts: Mapping[str, float]) -> float:
     return sum(mass for name, mass in parts.items() if _noun(name) in POWDERS)
 
 
+def is_cement(name: str) -> bool:
+    """Return whether the ingredient called `name` is cement."""
+    return _noun(name) in CEMENTS
+
+
 def cement_mass(parts: Mapping[str, float]) -> float:
     """Return the mass of cement among the ingredients [kg/m3]."""
     return sum(mass for name, mass in parts.items() if _noun(name) in CEMENTS)

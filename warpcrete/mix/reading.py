@@ -14,6 +14,7 @@ from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES,
 from .ingredients import (
     MIN_AMOUNT,
     check_volume,
+    is_cement,
     is_coarse,
     is_thickener,
     mass_per_volume,
@@ -57,6 +58,8 @@ ingredients. With a larger difference, the mix is refused."""
 SHARE_TOLERANCE = 0.25
 """Relative difference between the stated share of coarse aggregate and the share of stones among the ingredients, above
 which a warning is given. Coarse sand may count as aggregate, and the densities of rocks differ by some per cent."""
+PER_CEMENT = re.compile(r"([0-9]{1,4}(?:\.[0-9]{1,6})?)\s*(?:fl\.?\s*)?oz\s*/\s*cwt", re.IGNORECASE)
+"""Amount of an admixture in fluid ounces per 100 lb of cement, as in "4 oz/cwt"."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
 
@@ -288,7 +291,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
         problem = "must list the ingredients of a cubic metre of concrete"
         refuse("mix parts", parts, problem, "for example {cement: 340 kg/m3, water: 170 kg/m3}")
     masses, load = {}, _number(given, "volume")
-    for name, value in parts.items():
+    for name, value in _by_volume(parts, load).items():
         with errors_located_at(parts, name):
             _check_ingredient(str(name), value)
             if value is None and str(name)[:1].isdigit():
@@ -313,6 +316,24 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
         )
     check_volume(masses, heavy, air)
     return (total, True, masses) if own is None else (own, False, masses)
+
+
+def _by_volume(parts: Mapping[str, Any], load: float | None) -> dict[str, Any]:
+    """Return the ingredients, with amounts of admixtures per 100 lb of cement converted to amounts per cubic yard.
+
+    An amount such as "4 oz/cwt" is converted only if the cement is known; other texts stay as they are. `load` is the
+    volume of the concrete in which the ingredients are contained [m3], or None for a cubic metre.
+    """
+    dosed = {name: found for name, value in parts.items()
+             if isinstance(value, str) and (found := PER_CEMENT.fullmatch(value.strip()))}  # fmt: skip
+    found = dict(parts)
+    if dosed:
+        cement = {str(name): mass_per_volume(str(name), value, load) for name, value in parts.items()
+                  if is_cement(str(name))}  # fmt: skip
+        pounds = sum(cement.values()) / amount("cement", "1 lb/yd3", "kg/m3")
+        if pounds > 0:
+            found |= {name: f"{float(text[1]) * pounds / 100:.6g} oz/yd3" for name, text in dosed.items()}
+    return found
 
 
 def _share(given: Any, heavy: float, unusual: str | None) -> float:
