@@ -131,8 +131,9 @@ def test_a_launch_goes_on_while_a_scene_runs_and_ends_when_none_does(monkeypatch
 
 
 def test_unlike_scenes_fall_into_batches_of_their_own(device):
-    bonded = scenes.pipe(**SMALL)
-    frictionless = scenes.pipe(friction=0.0, bonds=False, **SMALL)
+    short = SMALL | dict(ramp=5e-3, travel=0.01)
+    bonded = scenes.pipe(**short)
+    frictionless = scenes.pipe(friction=0.0, bonds=False, **short)
     simulations, told = simulate(device, [bonded, frictionless]), []
     runs = run_batch(simulations, progress=lambda *each: told.append(each))
     # A CPU runs one batch after the other.
@@ -191,12 +192,12 @@ def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path, monkeypatch):
     monkeypatch.setattr("warpcrete.dem.engine.batch.SPHERES_PER_THREAD", 16)
     paths = []
     for seed in (0, 1):
-        simulation = Simulation(scenes.pipe(seed=seed, **SMALL), device="cpu", threads=2)
+        simulation = Simulation(scenes.pipe(seed=seed, **SMALL | dict(travel=0.01)), device="cpu", threads=2)
         simulation.prepare()
         assert simulation.stepper.batch.threads == 2
         paths.append(tmp_path / f"{seed}.npz")
         simulation.save(paths[-1])
-    some = [scenes.pipe(seed=seed, **SMALL) for seed in (0, 1)]
+    some = [scenes.pipe(seed=seed, **SMALL | dict(travel=0.01)) for seed in (0, 1)]
     together = run_batch(simulate("cpu", some), checkpoints=paths)
     for path, scene, other in zip(paths, some, together, strict=True):
         one = Simulation(scene, device="cpu", threads=1)
@@ -237,7 +238,7 @@ def test_the_estimate_of_memory_is_what_is_allotted(device, precision, bonds):
     the allotted memory is 1.10 to 1.29 on a CPU.
     """
     before = allotted()
-    scene = dataclasses.replace(scenes.pipe(bonds=bonds, **SMALL | dict(length=0.4, solid_fraction=None)), settle=None)
+    scene = dataclasses.replace(scenes.pipe(bonds=bonds, **SMALL | dict(length=0.4, solid_fraction=0.6)), settle=None)
     simulation = Simulation(scene, device=device, precision=precision, threads=1)
     simulation.prepare()
     simulation.stepper.advance(2e-3)

@@ -58,7 +58,8 @@ def test_a_closed_pipe_is_blocked_at_its_end(device):
 
 
 def test_an_open_pipe_is_not(device):
-    run = Simulation(scenes.pipe(**SHORT), device=device).run()
+    run = Simulation(scenes.pipe(**SHORT | {"travel": 0.1}), device=device).run()
+    assert run.series["travel"][-1] > uncut(device).series["travel"][-1]
     assert run["blocked"] == 0.0 and "blocked_at" not in run.result
 
 
@@ -78,7 +79,7 @@ class Cut(Recorder):
         simulation.stop_requested = len(simulation.rows) == self.row
 
 
-@pytest.mark.parametrize("row", [12, 30])
+@pytest.mark.parametrize("row", [pytest.param(12, marks=pytest.mark.thorough), 30])
 def test_a_resumed_run_finds_the_same(device, row, tmp_path):
     whole = uncut(device)
     path = tmp_path / "checkpoint.npz"

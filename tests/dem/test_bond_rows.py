@@ -90,7 +90,7 @@ def test_bonds_keep_their_rows(device, way, stiff):
         rows, _ = rows_of(state)
         # The lists hold only bonded pairs, and the room that arrays are given to grow.
         assert len(state.pairs.load) <= 1.25 * (rows.max() + 2) + 65
-        simulation.stepper.advance(0.05)
+        simulation.stepper.advance(0.02)
         assert state.spheres.broken.numpy().sum() > 0
         check_rows(state)
         left, _ = rows_of(state)

@@ -85,7 +85,7 @@ def box_of(spheres):
     return box, clumps.from_mesh(box, spheres)
 
 
-@pytest.mark.parametrize(("spheres", "tolerance"), [(8, 0.1), (40, 0.04)])
+@pytest.mark.parametrize(("spheres", "tolerance"), [(8, 0.1), pytest.param(40, 0.04, marks=pytest.mark.thorough)])
 def test_mesh_is_covered_with_the_wanted_number_of_spheres(spheres, tolerance):
     box, template = box_of(spheres)
     assert len(template.radii) == spheres

@@ -99,7 +99,7 @@ def test_samples_shorter_than_the_step_repeat_the_last_figure(device):
     assert run.series["pressure"][2:] == pytest.approx(MASS * 9.81, rel=1e-3)
 
 
-@pytest.mark.parametrize("pressure", [150.0, 300.0, 8000.0])
+@pytest.mark.parametrize("pressure", [150.0, pytest.param(300.0, marks=pytest.mark.thorough), 8000.0])
 def test_packing_meets_low_and_high_pressures_or_says_so(device, pressure):
     fill = Fill(container=PipeContainer(AXIS, 0.05, 0.12), pressure=pressure, templates=clumps.templates("spheres"))
     _, report = pack(fill, device=device)

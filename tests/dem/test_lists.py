@@ -132,19 +132,19 @@ def test_some_that_are_far_away_do_not_need_cells(way):
     scene = Scene(name="lost", duration=1.0, contact=scene.contact, bodies=(*scene.bodies, lost))
     (stepper,) = started([scene], way)
     assert stepper.lists._cells._dims.max() < 30
-    found, (sure, _) = listed(stepper), near(stepper)
+    found, (sure, perhaps) = listed(stepper), near(stepper)
     far = np.flatnonzero(np.abs(stepper.state.spheres.position.numpy()[:, :3]).max(1) > 1e3)
     together = [pair for pair in found if set(pair) <= set(far.tolist())]
     assert len(far) == 3 and len(together) == 1
     assert {p for p in sure if not set(p) & set(far.tolist())} <= found
-    assert {p for p in found if not set(p) & set(far.tolist())} <= near(stepper)[1]
+    assert {p for p in found if not set(p) & set(far.tolist())} <= perhaps
 
 
 def test_a_scene_far_from_the_origin_has_as_many_cells(way):
     """A hundred kilometres away, where double precision still holds it."""
     dims = []
     for at in ((0.0, 0.0, 0.0), (1e5, -3e4, 2e4)):
-        (stepper,) = started([cloud(2000, (0.1, 0.1, 0.5), 11, at=at)], way, "float64")
+        (stepper,) = started([cloud(1000, (0.1, 0.1, 0.5), 11, at=at)], way, "float64")
         check(stepper)
         dims.append(stepper.lists._cells._dims)
     assert np.abs(dims[0] - dims[1]).max() <= 1 and dims[0].prod() > 100

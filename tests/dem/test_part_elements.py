@@ -75,7 +75,10 @@ def test_a_pipe_that_bends_in_two_planes_is_a_closed_surface_of_its_volume():
     assert mesh.is_watertight and -mesh.volume == pytest.approx(bores.volume(0, axis.length), rel=2e-3)
 
 
-@pytest.mark.parametrize("course", DEFAULT_PLOT_COLUMNS)
+@pytest.mark.parametrize(
+    "course",
+    ["straight", *(pytest.param(c, marks=pytest.mark.thorough) for c in ("bend", "reducer")), "bend and reducer"],
+)
 def test_nothing_lies_outside_the_true_wall_at_the_start(course):
     """Cones and bends included: every centre inside, and as full everywhere."""
     scene: Any = scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS[course])
