@@ -230,7 +230,7 @@ def test_a_slump_rests_where_the_tall_cone_does(device):
 
 def test_softer_concrete_slumps_and_spreads_more():
     found = [
-        FreeSimulation(slump(yield_stress=tau, lift_time=0.5, duration=3.0, spacing=0.0125), device="cpu").run().result
+        FreeSimulation(slump(yield_stress=tau, lift_time=0.5, duration=3.0, spacing=0.02), device="cpu").run().result
         for tau in (1200.0, 600.0, 300.0)
     ]
     slumps, spreads = ([number(r[name]) for r in found] for name in ("slump", "spread"))
@@ -238,7 +238,7 @@ def test_softer_concrete_slumps_and_spreads_more():
 
 
 def test_same_run_same_bits_and_a_checkpoint_goes_on_with_them(device, tmp_path):
-    scene = slump(duration=0.3, lift_time=0.5)
+    scene = slump(duration=0.3, lift_time=0.5, spacing=0.02)
     whole = FreeSimulation(scene, device=device).run()
     assert FreeSimulation(scene, device=device).run().result["state_hash"] == whole.result["state_hash"]
 
@@ -259,7 +259,7 @@ def test_same_run_same_bits_and_a_checkpoint_goes_on_with_them(device, tmp_path)
 
 def test_both_precisions_agree(device):
     results = [
-        FreeSimulation(slump(duration=0.4, lift_time=0.0), device=device, precision=p).run().result
+        FreeSimulation(slump(duration=0.4, lift_time=0.0, spacing=0.0125), device=device, precision=p).run().result
         for p in ("float32", "float64")
     ]
     one, two = (number(r["slump"]) for r in results)
@@ -289,8 +289,8 @@ def test_a_slip_layer_is_asked_for_where_the_plate_slips():
 
 
 def test_a_plate_that_slips_lets_concrete_spread_further():
-    # On the default plate of 0.2625 m, the heap that slips (475 mm wide) would come within a cell of the edge.
-    own = {"yield_stress": 300.0, "lift_time": 0.5, "duration": 3.0, "spacing": 0.0125, "plate_radius": 0.3}
+    # On the default plate, the heap that slips would come within a cell of the edge.
+    own = {"yield_stress": 300.0, "lift_time": 0.5, "duration": 3.0, "spacing": 0.02, "plate_radius": 0.3}
     layer = {"plate": "slips", "slip_viscosity": 100.0, "slip_yield": 20.0}
     sticks, slips = (
         number(FreeSimulation(slump(**own | given), device="cpu").run().result["spread"]) for given in ({}, layer)
@@ -305,7 +305,7 @@ def test_concrete_that_leaves_the_plate_stops_the_run():
 
 def test_slump_by_the_command(tmp_path):
     out = tmp_path / "run"
-    done = CliRunner().invoke(cli, ["run", "slump", "--spacing", "0.0125", "--lift-time", "0.5", "--duration", "8",
+    done = CliRunner().invoke(cli, ["run", "slump", "--spacing", "0.02", "--lift-time", "0.5",
                                     "--concrete", "no1", "--yield-stress", "1500", "--device", "cpu", "--frames", "4",
                                     "--out", str(out), "--quiet"])  # fmt: skip
     assert done.exit_code == 0, done.output
