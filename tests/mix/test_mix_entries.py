@@ -250,7 +250,7 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
         (BULK | {"concrete": {"viscosity": 40, "yeild_stress": 6}}, "mix concrete: key = 'yeild_stress'"),
         (BULK | {"layer": {"viscosity": 900}}, "must have 'yield_stress' and 'viscosity', or 'points', or"),
         (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
-        (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be the diameter"),
+        (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter: is missing; add the"),
         (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have points at two or more different values of 'speed'"),
         (BULK | {"layer": {"tribometer": [[-0.1, 50], [0.2, 90]]}}, "must be 0 or more"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.2, -90]]}}, "must be 0 or more"),
@@ -273,8 +273,8 @@ def test_contradictory_and_empty_mixes_are_refused_in_one_line(tmp_path, section
 @pytest.mark.parametrize(
     ("section", "says"),
     [
-        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated if the mix"),
-        ({"viscometer": [[2, 140], [5, 260]], "concrete": {"flow_index": 1.3}}, "mix viscosity = None: must be stated"),
+        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity: is missing, but"),
+        ({"viscometer": [[2, 140], [5, 260]], "concrete": {"flow_index": 1.3}}, "mix viscosity: is missing, but"),
         ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 9}}, "mix concrete: flow_index = 9.0: is"),
         ({"spread": 0.6, "layer": {"flow_index": 0.7}}, "mix layer = {'flow_index': 0.7}: must have 'yield_stress'"),
         ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 1.2, "quadratic_viscosity": 1}},

@@ -233,7 +233,7 @@ def test_a_wrong_prediction_does_not_squeeze_the_measurements():
         ("[20 m3/h, 40 m3/h]", "[20 m3/h]", "case measured = '2 values': must have one value for each of the 1 flows"),
         ("measured: [1 kPa/m, 2 kPa/m]", "measured: [1 kPa, 2 kPa]", "case measured = '1 kPa': must be a number"),
         ("id: yard", "ids: yard", "key of a case = 'ids'"),
-        ("flow: [20 m3/h, 40 m3/h]", "note: none", "case flow = None: must be given for a case of kind 'pipe'"),
+        ("flow: [20 m3/h, 40 m3/h]", "note: none", "case flow: is missing in a case of kind 'pipe'"),
         ("[1 kPa/m, 2 kPa/m]", "[0 kPa/m, 2 kPa/m]", "case measured = 0"),
         ("{diameter: 125 mm}", "125 mm", "cases test = '125 mm': must consist of"),
         ("where: log 7", "scatter: {concretes: 5}", "has no 'from'; for example {concretes: 6"),

@@ -13,6 +13,7 @@ from ..core.inputs.amounts import amount, is_customary
 from ..core.inputs.concretes import NamedConcrete
 from ..core.inputs.concretes import concrete as named
 from ..core.inputs.limits import check_limit, check_velocity
+from ..core.inputs.text_files import errors_in_file
 from ..geometry.axis import Axis, Line
 from ..geometry.customary_labels import as_customary
 from ..geometry.pipe_line import Part, PipeLine
@@ -86,7 +87,9 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
     if name is None:
         raise click.UsageError("concrete: is missing; set it in the file of the line, with --concrete no1 or a file, "
                                "or with --slump '180 mm'")  # fmt: skip
-    mix = guess if guess is not None else mix_named(str(name))
+    from_file = line is not None and settings["concrete"] is None
+    with errors_in_file(line if from_file else None):
+        mix = guess if guess is not None else mix_named(str(name))
     if stone is not None:
         given = with_stone(given, stone)
     elif mix is not None and given.largest_stone is None:

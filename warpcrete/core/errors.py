@@ -12,6 +12,7 @@ from typing import NoReturn, cast
 import numpy as np
 
 from .narrowing import is_number
+from .written_numbers import written_text
 
 LONGEST_VALUE = 160
 """Maximum number of characters of a value or of a field's name that a message quotes."""
@@ -121,7 +122,11 @@ def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return the `repr` of a value as one line for a message, shortened if it is long."""
+    """Return the `repr` of a value as one line for a message, shortened if it is long.
+
+    If a number was converted from a text with a unit, return the `repr` of this text.
+    """
+    value = written_text(value) or value
     if isinstance(value, int) and value.bit_length() > LONGEST_NUMBER:
         return f"a number of {value.bit_length()} bits"
     try:

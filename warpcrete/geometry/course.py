@@ -12,6 +12,7 @@ import numpy as np
 from ..core.errors import at_least, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit, warn
+from ..core.inputs.text_files import errors_located_at
 from .axis import Arc, Axis, Line
 from .curves import curve_through, start_tangent
 from .line_entries import (
@@ -19,6 +20,7 @@ from .line_entries import (
     BEND_RADIUS,
     FACTORS,
     HOSE_FACTOR,
+    KEYS,
     LIMITED_AS,
     MOST_POINTS,
     PART_HINTS,
@@ -49,11 +51,18 @@ UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 
 
-def _without_colon(entry: Any) -> str:
+def _corrected(entry: Any) -> str:
     """Return the correction of an entry that is no mapping from the kind of a part to its properties.
 
-    Users write '- elbow' or '- straight 10 m', which YAML reads as a text.
+    Users write '- elbow' or '- straight 10 m', which YAML reads as a text, or a property beside the kind instead of
+    below it, as in '- {straight: 10 m, factor: 1.2}'.
     """
+    if isinstance(entry, Mapping):
+        kind, *others = entry or ("",)
+        known = kind in PARTS and not isinstance(entry[kind], Mapping) and all(key in PARTS[kind] for key in others)
+        if others and known:
+            said = {next(iter(PARTS[kind])): entry[kind], **{key: entry[key] for key in others}}
+            return f"write '- {kind}: {{{', '.join(f'{key}: {value}' for key, value in said.items())}}}'"
     kind, _, rest = entry.partition(" ") if isinstance(entry, str) else ("", "", "")
     if kind in PART_HINTS:
         return PART_HINTS[kind]
@@ -83,7 +92,7 @@ class Course:
             entry = {entry: {}}
         if not isinstance(entry, Mapping) or len(entry) != 1:
             problem = f"must be one of {', '.join(PARTS)}, followed by a colon and the properties of the part"
-            refuse(f"part {number}", entry, problem, _without_colon(entry))
+            refuse(f"part {number}", entry, problem, _corrected(entry))
         kind, said = next(iter(entry.items()))
         if kind in PART_HINTS:
             refuse(f"part {number}", kind, f"must be one of {', '.join(PARTS)}", PART_HINTS[kind])
@@ -94,21 +103,16 @@ class Course:
             listed = kind == "hose" and isinstance(said, Sequence) and not isinstance(said, str)
             said = {"points" if listed else next(iter(PARTS[kind])): said}
         for key in said:
-            field = f"part {number}, {kind}: key"
-            if str(key)[:1].isdecimal():
-                hint = "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'"
-                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}", hint)
-            if kind == "hose" and key == "diameter":
-                problem = f"must be one of {', '.join(PARTS[kind])}; a hose is as wide as the part before it"
-                refuse(field, key, problem, f"put 'reducer: {{to: {said[key]}}}' before it")
-            one_of(field, key, PARTS[kind])
+            with errors_located_at(said, key):
+                _check_key(f"part {number}, {kind}: key", kind, key, said[key])
 
         def get(key: str, unit: str, default: Any = None) -> float:
             if key not in said and default is None:
                 refuse(f"part {number}, {kind}", dict(said), f"has no {key!r}", f"add it, for example '{key}: 1 m'")
             field = f"part {number}, {kind}: {key}"
-            found = amount(field, said.get(key, default), unit)
-            check_limit(field, found, unit, LIMITED_AS.get(key, key))
+            with errors_located_at(said, key):
+                found = amount(field, said.get(key, default), unit)
+                check_limit(field, found, unit, LIMITED_AS.get(key, key))
             return found
 
         part, pieces = getattr(self, f"_{kind}")(number, said, get)
@@ -273,6 +277,20 @@ class Course:
         self._turn(tangents[1] @ directions)
         part = Part(number, "bore", self.diameter, mesh.axis.length, rise, outlet, mesh=mesh)
         return part, rotated_pieces(mesh.axis.pieces, directions)
+
+
+def _check_key(field: str, kind: str, key: Any, value: Any) -> None:
+    """Refuse the entry `key` of a part if a part of this kind has no such entry; `field` is its name in the message."""
+    if str(key)[:1].isdecimal():
+        hint = "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'"
+        refuse(field, key, f"must be one of {', '.join(PARTS[kind])}", hint)
+    if kind == "hose" and key == "diameter":
+        problem = f"must be one of {', '.join(PARTS[kind])}; a hose is as wide as the part before it"
+        refuse(field, key, problem, f"put 'reducer: {{to: {value}}}' before it")
+    if key in KEYS and key not in PARTS[kind]:
+        problem = f"must be one of {', '.join(PARTS[kind])}"
+        refuse(field, key, problem, f"write '{key}: {value}' outside the list 'parts', without indentation")
+    one_of(field, key, PARTS[kind])
 
 
 def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> None:

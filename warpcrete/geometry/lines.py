@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import one_line, one_of, positive, refuse, suggested
+from ..core.errors import SceneError, one_line, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount, is_customary
 from ..core.inputs.concretes import KEYS as CONCRETE_KEYS
 from ..core.inputs.concretes import OF_MIXES, is_file
 from ..core.inputs.limits import check_limit, check_velocity
-from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
+from ..core.inputs.text_files import errors_in_file, errors_located_at, name_of, read_mapping
 from .axis import Axis
 from .bend_factors import with_bend_factor
 from .course import Course
 from .crossings import first_crossing
 from .customary_labels import with_customary_labels
-from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS
+from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS, PART_HINTS, PARTS
 from .pipe_line import PipeLine
 from .pumps import Pump, pump_of
 
@@ -43,7 +43,8 @@ def read_line(name: Path | str) -> PipeLine:
     Raises :class:`SceneError` if the file cannot be read, or if the parts do not fit together.
     """
     given, path = line_file(name)
-    return line_of(given, name_of(path), path.parent)
+    with errors_in_file(path):
+        return line_of(given, name_of(path), path.parent)
 
 
 def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
@@ -85,16 +86,15 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         with errors_located_at(given, key):
             if key == "stone":
                 refuse("line's key", key, "is called 'largest_stone' in a line", "write 'largest_stone: 20 mm'")
+            if key in PARTS or key in PART_HINTS:
+                instead = PART_HINTS.get(key, f"write '- {key}: ...' below 'parts:'")
+                refuse("line's key", key, "is a part; parts belong into the list 'parts'", instead)
             one_of("line's key", key, KEYS)
     entries = given.get("parts")
-    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        refuse("parts", entries, "must be a list of one or more parts", "for example '- straight: 10 m'")
-    if len(entries) > MOST_PARTS:
-        refuse(
-            "parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS} parts", "merge neighbouring straight parts"
-        )
+    with errors_located_at(given, "parts"):
+        _check_list(entries)
     if "diameter" not in given:
-        refuse("diameter", None, "must be given for the first part", "for example 'diameter: 125 mm'")
+        raise SceneError("diameter: is missing; add the diameter of the first part, for example 'diameter: 125 mm'")
     diameter, stone, flow, recorded = (
         _above(given, field, AMOUNTS[field][0]) for field in ("diameter", "largest_stone", "flow", "recorded")
     )
@@ -129,8 +129,29 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         pump=_pump(given),
         customary=customary,
     )
-    check_crossing(line)
-    return with_stone(line, stone)
+    with errors_located_at(given, "parts"):
+        check_crossing(line)
+    with errors_located_at(given, "largest_stone"):
+        return with_stone(line, stone)
+
+
+def _check_list(entries: Any) -> None:
+    """Refuse the entry `parts` of a pipeline file if it is not a list of parts, or if the list contains other entries.
+
+    A user who indents an entry of the line by mistake, such as `diameter`, makes it an item of this list.
+    """
+    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
+        hint = "begin each part with a dash" if isinstance(entries, Mapping) else "write one part per line"
+        refuse("parts", entries, "must be a list of one or more parts", f"{hint}, as in '- straight: 10 m'")
+    if len(entries) > MOST_PARTS:
+        problem = f"must be at most {MOST_PARTS} parts"
+        refuse("parts", f"{len(entries)} parts", problem, "merge neighbouring straight parts")
+    for number, entry in enumerate(entries):
+        for key in entry if isinstance(entry, Mapping) else ():
+            if key in KEYS:
+                with errors_located_at(entries, number), errors_located_at(entry, key):
+                    hint = f"write '{key}: {entry[key]}' outside the list 'parts', without indentation"
+                    refuse(f"part {number + 1}", key, "is an entry of the line, not a part", hint)
 
 
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:

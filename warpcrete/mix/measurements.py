@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import between, one_of, positive, refuse
+from ..core.errors import SceneError, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.limits import check_limit
+from ..core.inputs.text_files import errors_located_at
 from .points import PUMPED, read_points
 
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
@@ -82,20 +83,32 @@ def read_constants(name: str, given: Any, units: Mapping[str, str], widest: floa
         problem = "must consist of 'key: value' lines"
         refuse(f"mix {name}", given, problem, f"possible keys are {', '.join(units)} and uncertainty")
     for key in given:
-        one_of(f"mix {name}: key", key, (*units, "uncertainty"))
-    values = {key: amount(f"mix {name}: {key}", given[key], unit) for key, unit in units.items() if key in given}
-    for key, value in values.items():
-        if key == "yield_stress":
-            between(f"mix {name}: {key}", value, 0, 1e5, units[key])
-        else:
-            positive(f"mix {name}: {key}", value, units[key])
-        check_limit(f"mix {name}: {key}", value, units[key], SLIP.get(key, key) if name == "layer" else key)
+        with errors_located_at(given, key):
+            one_of(f"mix {name}: key", key, (*units, "uncertainty"))
+    values = {}
+    for key, unit in units.items():
+        if key in given:
+            with errors_located_at(given, key):
+                values[key] = _constant(name, key, given[key], unit)
     off = None
     if "uncertainty" in given:
-        off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
-        hint = "give the uncertainty relative to the values, for example '15 %'"
-        between(f"mix {name}: uncertainty", off, 0, widest, "", hint)
+        with errors_located_at(given, "uncertainty"):
+            off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
+            hint = "give the uncertainty relative to the values, for example '15 %'"
+            between(f"mix {name}: uncertainty", off, 0, widest, "", hint)
     return Measured(values, off)
+
+
+def _constant(name: str, key: str, given: Any, unit: str) -> float:
+    """Return the constant `key` in the entry `name` of a mix, checked and converted to `unit`."""
+    field = f"mix {name}: {key}"
+    value = amount(field, given, unit)
+    if key == "yield_stress":
+        between(field, value, 0, 1e5, unit)
+    else:
+        positive(field, value, unit)
+    check_limit(field, value, unit, SLIP.get(key, key) if name == "layer" else key)
+    return value
 
 
 def read_layer(given: Any, folder: Path) -> Layer:
@@ -111,13 +124,15 @@ def read_layer(given: Any, folder: Path) -> Layer:
         return Layer()
     if "points" in given:
         for key in given:
-            one_of("mix layer: key", key, ("points", "diameter", "length", "rise"))
+            with errors_located_at(given, key):
+                one_of("mix layer: key", key, ("points", "diameter", "length", "rise"))
         found = {}
         for key in ("diameter", "length"):
             if key not in given:
-                problem = f"must be the {key} of the pipe in which the points were measured"
-                hint = f"add it, for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'"
-                refuse(f"mix layer: {key}", None, problem, hint)
+                example = f"for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'"
+                raise SceneError(
+                    f"mix layer: {key}: is missing; add the {key} of the pipe with the measured points, {example}"
+                )
             found[key] = amount(f"mix layer: {key}", given[key], "m")
             positive(f"mix layer: {key}", found[key], "m")
             check_limit(f"mix layer: {key}", found[key], "m", key)

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from ..core.drawing.html import html_table
-from ..core.errors import between, positive, refuse
+from ..core.errors import SceneError, between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import FACTOR_KEYS, NamedConcrete, concrete, known_only
 from ..core.inputs.customary import both
+from ..core.inputs.text_files import errors_in_file, errors_located_at
 from ..core.run.tables import dataframe
 from ..theory.pipe import Concrete, scaled
 from .entries import MixEntries
@@ -261,7 +262,8 @@ def mix_in(found: NamedConcrete) -> Mix | None:
         return None
     stated = known_only("flow", found.mix.flow, {**FLOW, **LAWS, **FACTORS}, found.name)
     yields, viscous = (amount(f"concrete flow {key}", stated.pop(key, plain), "1") for key, plain in FACTORS.items())
-    mix = mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
+    with errors_in_file(getattr(found.mix.values, "path", None)):
+        mix = mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
     if yields == viscous == 1.0:
         return mix
     said = f"the table does not include {factors_text((yields, viscous), found.factor_source)}"
@@ -304,8 +306,8 @@ def mix_of(
             # only. For a law whose flow curve is not straight, the mix must state the viscosity itself.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
-                problem = "must be stated if the mix has a flow index or a quadratic viscosity"
-                refuse("mix viscosity", None, problem, "add 'viscosity' to the same section")
+                raise SceneError("mix viscosity: is missing, but must be stated if the mix has a flow index or a "
+                                 "quadratic viscosity; add 'viscosity' to the same section")  # fmt: skip
         if tells:
             bulk[wanted], more = reconciled(tells)
             remarks += more
@@ -365,9 +367,10 @@ def flow_amounts(found: NamedConcrete) -> dict[str, float]:
     """
     flow = known_only("flow", found.flow, UNITS, found.name)
     for key, value in flow.items():
-        flow[key] = amount(f"concrete flow {key}", value, UNITS[key])
-        if key in FACTORS:
-            positive(f"concrete flow {key}", flow[key])
+        with errors_located_at(found.flow, key):
+            flow[key] = amount(f"concrete flow {key}", value, UNITS[key])
+            if key in FACTORS:
+                positive(f"concrete flow {key}", flow[key])
     return flow
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import refuse, suggested
 from ..narrowing import is_number
+from ..written_numbers import WrittenNumber
 
 NUMBERS = (int, float, np.integer, np.floating)
 INCH, FOOT, YARD = 0.0254, 0.3048, 0.9144
@@ -236,8 +237,9 @@ def amount(field: str, value: object, unit: str) -> float:
     """Convert a number or a text such as "125 mm" to a number in the internal unit `unit`.
 
     A text may have any of the :func:`accepted_units` of `unit`. A number without a unit counts as a number in `unit`.
-    Lengths may be fractions of inches ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal comma is accepted if
-    it cannot separate thousands. Raises :class:`SceneError` about the parameter `field` for an unknown unit, or if
+    The result for a text with a unit is a :class:`WrittenNumber`, so that messages quote the text. Lengths may be
+    fractions of inches ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal comma is accepted if it cannot
+    separate thousands. Raises :class:`SceneError` about the parameter `field` for an unknown unit, or if
     `value` is not a finite number.
     """
     number, more = math.nan, ""
@@ -258,7 +260,7 @@ def amount(field: str, value: object, unit: str) -> float:
             units = f"in {unit}"
         problem = f"must be a number {units}{more and f'; {more}'}"
         refuse(field, value, problem, "" if unit == "1" else f"a number without a unit is in {unit}")
-    return number
+    return WrittenNumber(number + 0.0, value.strip()) if isinstance(value, str) and not bare_number(value) else number
 
 
 OTHER_QUANTITIES = {

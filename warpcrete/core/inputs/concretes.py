@@ -22,7 +22,8 @@ from typing import Any
 from ..errors import known_names, one_line, refuse, suggested
 from ..narrowing import is_dict
 from .limits import warn
-from .text_files import errors_located_at, name_of, read_mapping
+from .text_files import errors_in_file, errors_located_at, name_of, read_mapping
+from .yaml_files import FileMapping
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "concretes"
 FILES = (".yaml", ".yml", ".json")
@@ -108,6 +109,15 @@ def _shipped(name: str) -> NamedConcrete:
 
 def _read(path: Path, depth: int) -> NamedConcrete:
     given = read_mapping(path, "concrete")
+    with errors_in_file(path):
+        return _concrete(given, path, depth)
+
+
+def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
+    """Return the concrete that the contents `given` of the file `path` describe, together with its base concrete.
+
+    `depth` is the number of files that name this file as their base, directly or through other files.
+    """
     if depth >= MAXIMUM_CHAIN:
         refuse(
             "concrete base",
@@ -135,7 +145,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
             with errors_located_at(given, section):
                 problem = "must hold 'name: value' lines"
                 refuse(f"concrete {section}", found, problem, "indent these lines below the name of the section")
-        sections[section] = dict(found)
+        sections[section] = found
     factor_source = _factor_source(given, sections["flow"], name_of(path))
     mix = (
         MixSection(given["mix"], path.parent, elements=sections["elements"], flow=sections["flow"])
@@ -146,11 +156,11 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         base = _base(texts.pop("base"), path, depth)
         # Values in a concrete's file take precedence over values that follow from the mix of the base concrete.
         if mix is None and base.mix is not None:
-            mix = replace(base.mix, **{section: {**getattr(base.mix, section), **sections[section]}
-                                       for section in SECTIONS})  # fmt: skip
+            both = {section: _merged(getattr(base.mix, section), sections[section]) for section in SECTIONS}
+            mix = replace(base.mix, **both)
         if not factor_source and not any(key in sections["flow"] for key in FACTOR_KEYS):
             factor_source = base.factor_source
-        sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
+        sections = {section: _merged(getattr(base, section), sections[section]) for section in SECTIONS}
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
         hint = "add a section 'elements', 'flow' or 'mix', or name another concrete, as in 'base: no1'"
@@ -178,6 +188,18 @@ def _factor_source(given: Mapping[str, Any], flow: dict[str, Any], name: str) ->
     return source
 
 
+def _merged(base: Mapping[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return the entries of a section of two files, of which `own` takes precedence and `base` is the base concrete.
+
+    The result knows the lines of the entries in `own`, so that messages can name them.
+    """
+    if not isinstance(own, FileMapping):
+        return {**base, **own}
+    found = FileMapping({**base, **own})
+    found.path, found.lines = own.path, own.lines
+    return found
+
+
 def _base(name: str, path: Path, depth: int) -> NamedConcrete:
     if is_file(name):
         return _read(path.parent / name, depth + 1)
@@ -191,5 +213,6 @@ def known_only(section: str, values: Mapping[str, object], known: Collection[str
     """Return the `values` of a section of the concrete `name` after checking that all their keys are in `known`."""
     for key in values:
         if key not in known:
-            refuse(f"concrete {section}", key, f"is an unknown parameter (in {name})", known_names(key, known))
+            with errors_located_at(values, key):
+                refuse(f"concrete {section}", key, f"is an unknown parameter (in {name})", known_names(key, known))
     return dict(values)

@@ -1,9 +1,9 @@
 """Limits of parameters and of amounts in files: what is possible and what is usual, each with a reason.
 
 A value outside the possible range is refused, and a value outside the usual range causes a warning. Both messages
-suggest the unit that was probably meant. The limits hold for scene functions, files and the command. Objects at a lower
-level, such as :class:`warpcrete.theory.pipe.Concrete`, take any number that their own rules allow, so that the physics
-can be tested at its extremes.
+suggest the unit that was probably meant, unless the user wrote a unit. The limits hold for scene functions, files and
+the command. Objects at a lower level, such as :class:`warpcrete.theory.pipe.Concrete`, take any number that their own
+rules allow, so that the physics can be tested at its extremes.
 """
 
 import math
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from ..errors import PlausibilityWarning, refuse
 from ..errors import warn as warn_user
+from ..written_numbers import written_text
 from .amounts import CUSTOMARY, UNITS
 
 
@@ -132,7 +133,8 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
         refuse(field, value, problem, _meant(value, unit, limit))
     if value > 0 and limit.usual is not None and not limit.usual[0] <= value <= limit.usual[1]:
         meant = _meant(value, unit, limit)
-        warn(f"{field} = {value:g}{shown}: is unusual: {limit.why}{f'; {meant}' if meant else ''}")
+        stated = written_text(value) or f"{value:g}{shown}"
+        warn(f"{field} = {stated}: is unusual: {limit.why}{f'; {meant}' if meant else ''}")
 
 
 def check_whole(field: str, value: int) -> None:
@@ -153,7 +155,8 @@ def check_velocity(field: str, value: float, velocity: float) -> None:
         refuse(field, value, f"makes the concrete flow at {velocity:.3g} m/s, but at most {limit.high:g} m/s is "
                f"possible ({limit.why})", "check the flow, the diameter and their units")  # fmt: skip
     if velocity > FASTEST:
-        warn(f"{field} = {value:g}: makes the concrete flow at {velocity:.3g} m/s, which is unusual: {limit.why}")
+        stated = written_text(value) or f"{value:g}"
+        warn(f"{field} = {stated}: makes the concrete flow at {velocity:.3g} m/s, which is unusual: {limit.why}")
 
 
 def warn(text: str) -> None:
@@ -164,13 +167,13 @@ def warn(text: str) -> None:
 def _meant(value: float, unit: str, limit: Limit) -> str:
     """Return a question such as "did you mean 5 cm or 5 in?", with units in which the number would be usual.
 
-    The question names at most one metric and one customary US unit. It is empty if the number is usual in no unit, is
-    negative, or is so small or large that another unit cannot explain it.
+    The question names at most one metric and one customary US unit. It is empty if the user wrote a unit, or if the
+    number is usual in no unit, is negative, or is so small or large that another unit cannot explain it.
     """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits of all quantities in one unit are too wide to show which unit was meant.
-    if not 1e-2 <= value <= 1e6:
+    if written_text(value) or not 1e-2 <= value <= 1e6:
         return ""  # A negative, very small or very large number does not result from a wrong unit, so suggest none.
     possible = [other for other, factor in UNITS.get(unit, {}).items()
                 if factor != 1.0 and low <= value * factor <= high]  # fmt: skip

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type
 
 from ..errors import one_of, refuse
 from ..narrowing import is_numpy_number
+from ..written_numbers import WrittenNumber, written_text
 from .amounts import amount
 from .limits import check_limit, check_whole, warn
 
@@ -219,7 +220,7 @@ class Field:
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
             # Adding 0.0 turns -0.0 into 0.0, so that both zeros give the same text and fingerprint.
-            return value + 0.0
+            return value if isinstance(value, WrittenNumber) else value + 0.0
         if self.kind is str and hasattr(value, "__fspath__"):
             return str(value)
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
@@ -315,4 +316,5 @@ class Declared:
                     why, cure = f"has no effect unless {rule.condition}", f"leave out {name!r}, or {instead}"
                     if rule.refused:
                         refuse(name, getattr(self, name), why, cure)
-                    warn(f"{name} = {getattr(self, name)}: {why}; {cure}")
+                    value = getattr(self, name)
+                    warn(f"{name} = {written_text(value) or value}: {why}; {cure}")

@@ -13,12 +13,12 @@ import stat
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
-from ..errors import RunFolderError, SceneError, refuse
+from ..errors import LONGEST_VALUE, RunFolderError, SceneError, one_line, refuse
 from ..narrowing import is_dict
 from .origin import note_file
-from .yaml_files import LONGEST_NUMBER, FileList, Unreadable, parsed_yaml
+from .yaml_files import LONGEST_NUMBER, FileList, FileMapping, Unreadable, parsed_yaml
 
 MAXIMUM_SETTINGS_SIZE = 200_000
 """Maximum size of a YAML or JSON file that a user writes [B]; the YAML parser reads about 80 kB per second."""
@@ -43,7 +43,23 @@ def errors_located_at(container: Any, key: Any) -> Generator[None]:
         known = key in lines if isinstance(lines, dict) else lines is not None and 0 <= key < len(lines)
         if lines is None or not known or getattr(error, "located", False):
             raise
-        located = type(error)(f"{container.path.name}, line {lines[key]}: {error}")
+        located = type(error)(f"{one_line(container.path.name, LONGEST_VALUE)}, line {lines[key]}: {error}")
+        located.located = True  # type: ignore[attr-defined]
+        raise located from error
+
+
+@contextmanager
+def errors_in_file(path: Path | str | None) -> Generator[None]:
+    """Add the file name to each :class:`SceneError` raised inside the `with` block whose message does not contain it.
+
+    Errors that :func:`errors_located_at` located stay unchanged, and so do all errors if `path` is None.
+    """
+    try:
+        yield
+    except SceneError as error:
+        if path is None or getattr(error, "located", False) or Path(path).name in str(error):
+            raise
+        located = type(error)(f"{one_line(Path(path).name, LONGEST_VALUE)}: {error}")
         located.located = True  # type: ignore[attr-defined]
         raise located from error
 
@@ -79,7 +95,7 @@ def read_mapping(path: Path, field: str) -> dict[str, Any]:
     """
     try:
         text = _text(path, MAXIMUM_SETTINGS_SIZE)
-        found = parsed_json(text) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
+        found = _of_file(parsed_json(text), path) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
         if not is_dict(found):
             raise Unreadable(
                 f"contains {_kind_of(found)} instead of 'key: value' lines",
@@ -170,6 +186,19 @@ def _text(path: Path, most: int) -> str:
             "contains a NUL character", "check that it is a text file", text.count("\n", 0, text.index("\0")) + 1
         )
     return text
+
+
+def _of_file(value: object, path: Path) -> object:
+    """Return a JSON value whose mappings and lists store the `path` of their file, but no line numbers."""
+    if is_dict(value):
+        found = FileMapping({key: _of_file(each, path) for key, each in value.items()})
+        found.path, found.lines = path, {}
+        return found
+    if isinstance(value, list):
+        listed = FileList(_of_file(each, path) for each in cast("list[object]", value))
+        listed.path, listed.lines = path, []
+        return listed
+    return value
 
 
 def _kind_of(value: object) -> str:

@@ -17,7 +17,7 @@ from ...core.inputs.by_name import names_from_file
 from ...core.inputs.concretes import concrete, is_file
 from ...core.inputs.limits import check_limit
 from ...core.inputs.parameters import Field, FileIf, declared_fields
-from ...core.inputs.text_files import errors_located_at, read_mapping
+from ...core.inputs.text_files import errors_in_file, errors_located_at, read_mapping
 from ...core.run.method import Quantity
 from ...core.units import number, shown
 from ...methods import METHODS, method_of
@@ -148,7 +148,8 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
     raw = read_mapping(path, "targets")
     if isinstance(raw.get("base"), str) and is_file(raw["base"]):
         raw["base"] = os.path.realpath(path.parent / raw["base"])
-    task = task_of(raw, modules, path.parent)
+    with errors_in_file(path):
+        task = task_of(raw, modules, path.parent)
     raw["targets"] = [
         {**each, "parameters": dict(target.parameters)} for each, target in zip(raw["targets"], task.targets)
     ]
@@ -169,13 +170,14 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
     if base is not None:
         concrete(str(base))
     vary, listed = raw.get("vary"), raw.get("targets")
-    if not isinstance(vary, Mapping) or not vary:
-        refuse(
-            "vary", vary, "must list one or more parameters, each with its range", "for example 'friction: [0, 0.5]'"
-        )
-    if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
-        hint = "for example '- {scene: slump, quantity: spread, value: 550 mm, uncertainty: 5%}'"
-        refuse("targets", listed, "must be a list of one or more targets", hint)
+    with errors_located_at(raw, "vary"):
+        if not isinstance(vary, Mapping) or not vary:
+            problem = "must list one or more parameters, each with its range"
+            refuse("vary", vary, problem, "for example 'friction: [0, 0.5]'")
+    with errors_located_at(raw, "targets"):
+        if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
+            hint = "for example '- {scene: slump, quantity: spread, value: 550 mm, uncertainty: 5%}'"
+            refuse("targets", listed, "must be a list of one or more targets", hint)
     targets = []
     for place, each in enumerate(listed):
         with errors_located_at(listed, place):
@@ -210,7 +212,8 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
         refuse(called, given, "must consist of 'key: value' pairs", f"possible keys are {', '.join(TARGET_KEYS)}")
     for key in given:
         if key not in TARGET_KEYS:
-            refuse(called, key, "is not a key of a target", known_names(key, TARGET_KEYS))
+            with errors_located_at(given, key):
+                refuse(called, key, "is not a key of a target", known_names(key, TARGET_KEYS))
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
         refuse(called, dict(given), f"has no {', '.join(missing)}", "add the missing entries")

@@ -85,6 +85,8 @@ def pressure_text(pressure: float) -> str:
 
 def time_text(seconds: float) -> str:
     """Return a time [s] as text: in seconds, in minutes from 2 min on, and in hours from 3 h on."""
+    if seconds < 10:
+        return f"{seconds:.2g} s"
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.3g} min" if seconds < 3 * 3600 else f"{seconds / 3600:.3g} h"

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import one_of, positive, refuse
+from ...core.errors import SceneError, one_of, positive, refuse
 from ...core.inputs.amounts import amount
-from ...core.inputs.text_files import errors_located_at, read_mapping
+from ...core.inputs.text_files import errors_in_file, errors_located_at, read_mapping
 from .kinds import BLOCKING, UNITS
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
@@ -113,18 +113,25 @@ def read_cases(path: Path) -> list[Case]:
     Raises :class:`SceneError` if an entry is unknown or missing, or if two cases have the same name.
     """
     given = read_mapping(path, "cases")
+    with errors_in_file(path):
+        return _cases(given, path.parent)
+
+
+def _cases(given: Mapping[str, Any], folder: Path) -> list[Case]:
+    """Return the cases in the contents `given` of a file; paths in the contents are relative to `folder`."""
     for key in given:
         with errors_located_at(given, key):
             one_of("key of a file of cases", key, FILE_KEYS)
     entries = given.get("cases")
-    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        problem = "must be a list of measured cases"
-        refuse("cases", entries, problem, "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'")
+    with errors_located_at(given, "cases"):
+        if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
+            problem = "must be a list of measured cases"
+            refuse("cases", entries, problem, "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'")
     sources, lines = (_mapping(given, key) for key in ("sources", "lines"))
     found = []
     for number, entry in enumerate(entries):
         with errors_located_at(entries, number):
-            found.append(_case(entry, sources, lines, path.parent))
+            found.append(_case(entry, sources, lines, folder))
     names = [case.name for case in found]
     for name in names:
         if names.count(name) > 1:
@@ -136,7 +143,8 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     if not isinstance(given, Mapping):
         refuse("case", given, "must consist of 'key: value' lines", "begin with 'id: ...'")
     for key in given:
-        one_of("key of a case", key, KEYS)
+        with errors_located_at(given, key):
+            one_of("key of a case", key, KEYS)
     for key in ("id", "kind", "source", "measured"):
         if key not in given:
             refuse("case", str(given.get("id", "")), f"has no {key!r}", f"add '{key}: ...'")
@@ -148,7 +156,8 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     flows = tuple(amount("case flow", x, "m3/s") for x in _listed(given.get("flow", [])))
     measured = tuple(amount("case measured", x, unit) for x in _listed(given["measured"]))
     if given["kind"] in BY_FLOW and not flows:
-        refuse("case flow", None, f"must be given for a case of kind {given['kind']!r}", "for example 'flow: 30 m3/h'")
+        raise SceneError(f"case flow: is missing in a case of kind {given['kind']!r}; add it, for example "
+                         "'flow: 30 m3/h'")  # fmt: skip
     if given["kind"] != BLOCKING:
         for value in measured:
             positive("case measured", value, unit)
@@ -204,8 +213,9 @@ def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, flo
 def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """Return the mapping under `key`, or an empty mapping if the entry is missing; refuse any other value."""
     found = given.get(key) or {}
-    if not isinstance(found, Mapping):
-        refuse(f"cases {key}", found, "must consist of 'key: value' lines")
+    with errors_located_at(given, key):
+        if not isinstance(found, Mapping):
+            refuse(f"cases {key}", found, "must consist of 'key: value' lines")
     return found
 
 

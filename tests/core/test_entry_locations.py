@@ -1,0 +1,102 @@
+"""Tests of the file and line that messages name for a wrong entry of a text file, and of hints at misplaced entries."""
+
+import pytest
+
+from warpcrete import SceneError, scenes
+from warpcrete.core.inputs.concretes import concrete
+from warpcrete.geometry.lines import read_line
+from warpcrete.mix.mix import flow_amounts, read_mix
+from warpcrete.scenes import modules
+from warpcrete.studies.calibration.targets import read_task
+from warpcrete.studies.validation.cases import read_cases
+
+LINE = "concrete: no1\ndiameter: 125 mm\n"
+MIX = "name: site\nmix:\n  density: 2350 kg/m3\n"
+TARGETS = "vary:\n  yield_stress: [10, 100]\ntargets:\n- scene: slump\n  quantity: spread\n  value: 550 mm\n"
+
+
+def refused(read, path, text):
+    """Return the message with which the function `read` refuses a file that contains `text`."""
+    path.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        read(path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("concrete: no1\nparts:\n- diameter: 125 mm\n- straight: 10 m\n",
+         "a.yaml, line 3: part 1 = 'diameter': is an entry of the line, not a part; write 'diameter: 125 mm' outside"),
+        (LINE + "parts:\n- straight: 10 m\n  flow: 30 m3/h\n", "a.yaml, line 5: part 1 = 'flow': is an entry of the"),
+        (LINE + "parts:\n- straight: 10 m\n  factor: 1.2\n",
+         "a.yaml, line 4: part 1 = {'straight': '10 m', 'factor': 1.2}: must be one of "),
+        (LINE + "parts: 5\n", "a.yaml, line 3: parts = 5: must be a list of one or more parts; write one part per"),
+        (LINE + "parts: {straight: 10 m}\n", "a.yaml, line 3: parts = {'straight': '10 m'}: must be a list of one or "
+                                             "more parts; begin each part with a dash, as in '- straight: 10 m'"),
+        (LINE + "straight: 10 m\n", "a.yaml, line 3: line's key = 'straight': is a part; parts belong into the list "
+                                    "'parts'; write '- straight: ...' below 'parts:'"),
+        (LINE + "elbow: up\n", "a.yaml, line 3: line's key = 'elbow': is a part; parts belong into the list 'parts'"),
+        ("concrete: no1\nparts:\n- straight: 10 m\n", "a.yaml: diameter: is missing; add the diameter of the first "),
+        (LINE + "parts:\n- straight:\n    length: 10 m\n    concrete: no1\n",
+         "a.yaml, line 6: part 1, straight: key = 'concrete': must be one of length, rise, diameter, factor, "
+         "equivalent; write 'concrete: no1' outside the list 'parts', without indentation"),
+        (LINE + "parts:\n- straight:\n    length: 10 m\n    rise: 99 bar\n", "a.yaml, line 6: part 1, straight: rise"),
+        (LINE + "largest_stone: 200 mm\nparts:\n- straight: 10 m\n", "a.yaml, line 3: largest_stone = '200 mm': does"),
+        (LINE + "parts:\n- straight: 1 m\n- bend: left\n- bend: left\n- bend: left\n- straight: 10 m\n",
+         "a.yaml, line 3: parts = [1, 5]: touch each other"),
+    ],
+)  # fmt: skip
+def test_entries_of_a_line(tmp_path, text, expected):
+    assert refused(read_line, tmp_path / "a.yaml", text).startswith(expected)
+
+
+def test_entries_of_a_line_in_json_name_the_file(tmp_path):
+    text = '{"diameter": "125 mm", "parts": 5}'
+    assert refused(read_line, tmp_path / "a.json", text).startswith("a.json: parts = 5: must be a list")
+    text = '{"diameter": "125 mm", "parts": [{"straigt": "5 m"}]}'
+    assert refused(read_line, tmp_path / "a.json", text).startswith("a.json: part 1 = 'straigt': must be one of")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (MIX + "  mortar:\n    density: 2100 kg/m3\n    viscosty: 3 Pa s\n", "a.yaml, line 6: mix mortar: key = 'visc"),
+        (MIX + "  concrete:\n    yield_stress: -5 Pa\n", "a.yaml, line 5: mix concrete: yield_stress = '-5 Pa': must"),
+        (MIX, "a.yaml: mix = 'density': contains no entry from which the yield stress"),
+        ("mix:\n  slump: 180 mm\n", "a.yaml: mix density: must be stated in a mix without 'parts'"),
+        ("source: none\n", "a.yaml: concrete = "),
+    ],
+)  # fmt: skip
+def test_entries_of_a_mix(tmp_path, text, expected):
+    said = refused(read_mix, tmp_path / "a.yaml", text)
+    assert said.startswith(expected) or ("a.yaml" in said and expected.startswith("a.yaml: concrete"))
+
+
+def test_constants_of_a_flow(tmp_path):
+    def read(path):
+        return flow_amounts(concrete(str(path)))
+
+    own = "base: no1\nflow:\n  density: 2350 kg/m3\n"
+    said = refused(read, tmp_path / "a.yaml", own + "  viscosty: 30 Pa s\n")
+    assert said.startswith("a.yaml, line 4: concrete flow = 'viscosty': is an unknown parameter")
+    said = refused(read, tmp_path / "a.yaml", own + "  viscosity: 30 Pa\n")
+    assert said.startswith("a.yaml, line 4: concrete flow viscosity = '30 Pa': must be a number")
+    said = refused(lambda path: scenes.tube(concrete=str(path)), tmp_path / "a.yaml", own + "  viscosty: 30\n")
+    assert said.startswith("a.yaml, line 4: concrete flow = 'viscosty'")
+
+
+def test_entries_of_targets(tmp_path):
+    def read(path):
+        return read_task(path, modules())
+
+    said = refused(read, tmp_path / "a.yaml", TARGETS + "  uncertanty: 5%\n")
+    assert said.startswith("a.yaml, line 7: target 1 = 'uncertanty': is not a key of a target")
+    assert refused(read, tmp_path / "a.yaml", "vary: 5\n").startswith("a.yaml, line 1: vary = 5: must list one or")
+    said = refused(read, tmp_path / "a.yaml", "vary: {yield_stress: [1, 2]}\ntargets: 5\n")
+    assert said.startswith("a.yaml, line 2: targets = 5: must be a list")
+    assert refused(read, tmp_path / "a.yaml", "targets: []\n").startswith("a.yaml: vary = None: must list one or")
+
+
+def test_entries_of_measured_cases(tmp_path):
+    assert refused(read_cases, tmp_path / "a.yaml", "cases: 5\n").startswith("a.yaml, line 1: cases = 5: must be a")
