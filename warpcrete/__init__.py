@@ -23,6 +23,7 @@ from .core.errors import (
     SceneError,
     WarpcreteError,
 )
+from .core.errors import suggested as _suggested
 
 if TYPE_CHECKING:
     __version__: str
@@ -84,8 +85,12 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module(".core.run.version", __name__).version_of("warpcrete")
     instead = _INSTEAD.get(name, "")
-    if any(Path(root, "scenes", f"{name}.py").is_file() for root in __path__) and not name.startswith("_"):
+    scenes = {path.stem for root in __path__ for path in Path(root, "scenes").glob("[a-z]*.py")}
+    if name in scenes:
         instead = f"; write warpcrete.scenes.{name}"
+    elif not instead and not name.startswith("_"):
+        meant = _suggested(name, __all__) or _suggested(name, scenes).replace("'", "'scenes.", 1)
+        instead = f"; {meant}" if meant else ""
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}{instead}")
 
 

@@ -336,8 +336,8 @@ def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
         ("--pipeline-horizontal", "50 %", "pipeline_horizontal = '50 %': must be a number with one of the units m, mm"),
         ("--frames", "3 m", "frames = '3 m': must be a number with the unit 1/s"),
         ("--checkpoint-every", "5 %", "checkpoint_every = '5 %': must be a number with one of the units s, ms, min, h"),
-        ("--pipeline-vertical", "-60 ft", "pipeline_vertical = -18.288: must be finite and at least 0 m"),
-        ("--checkpoint-every", "-2 min", "checkpoint_every = -120.0: must be finite and at least 0 s"),
+        ("--pipeline-vertical", "-60 ft", "pipeline_vertical = '-60 ft': must be finite and at least 0 m"),
+        ("--checkpoint-every", "-2 min", "checkpoint_every = '-2 min': must be finite and at least 0 s"),
     ],
 )
 def test_options_of_every_run_take_amounts_with_units(option, given, says, tmp_path):

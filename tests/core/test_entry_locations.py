@@ -17,7 +17,7 @@ TARGETS = "vary:\n  yield_stress: [10, 100]\ntargets:\n- scene: slump\n  quantit
 
 def refused(read, path, text):
     """Return the message with which the function `read` refuses a file that contains `text`."""
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError) as caught:
         read(path)
     return str(caught.value)

@@ -331,9 +331,9 @@ def test_commands_take_amounts_with_units(tmp_path, monkeypatch):
     assert "must be a number with one of the units m, mm" in str(
         run(cli, ["run", "tube", "--diameter", "5 kg"]).exception
     )
-    assert "spacing = 0.05" in str(run(cli, ["run", "tube", "--spacing", "5 cm"]).exception)
-    assert "spacing = 0.05" in str(run(cli, ["study", "tube", "--spacing", "5cm", "6cm"]).exception)
-    assert "spacing = 0.05" in str(run(cli, ["explain", "tube", "--spacing", "5 cm"]).exception)
+    assert "spacing = '5 cm'" in str(run(cli, ["run", "tube", "--spacing", "5 cm"]).exception)
+    assert "spacing = '5cm'" in str(run(cli, ["study", "tube", "--spacing", "5cm", "6cm"]).exception)
+    assert "spacing = '5 cm'" in str(run(cli, ["explain", "tube", "--spacing", "5 cm"]).exception)
 
 
 def test_cases_of_a_study_are_counted_before_they_are_made():

@@ -184,7 +184,7 @@ CSV = {
     "": "contains no rows",
     "\n\n": "contains no rows",
     'flow [m3/h],pressure [bar]\n"10,3\n': "is not valid CSV",
-    "flow [m3/h],pressure [bar]\n35000,3\n20,4\n": "line 2: flow = 9.72222222222222",
+    "flow [m3/h],pressure [bar]\n35000,3\n20,4\n": "line 2: flow = '35000 m3/h'",
     "flow,pressure\n35,3\n20,4\n": "is impossible: must be 1e-12 to 1 m3/s",
 }
 
@@ -211,7 +211,7 @@ def test_errors_in_a_line_name_file_and_line(tmp_path):
     head = "diameter: 125 mm\nflow: 20 m3/h\nparts:\n  - straight: 10 m\n"
     for text, says in (
         (head + "  - bend: {to: uup, radius: 0.5}\n", "line 5: part 2, bend: to = 'uup': .*did you mean 'up'"),
-        (head + "  - straight:\n      length: 1,234 m\n", "line 5: part 2, straight: length = '1,234 m'.*decimal"),
+        (head + "  - straight:\n      length: 1,234 m\n", "line 6: part 2, straight: length = '1,234 m'.*decimal"),
         (head.replace("20 m3/h", "1:30"), r"file.yaml, line 2: flow = '1:30': must be a number"),
         (head.replace("125 mm", "0_125"), r"file.yaml, line 1: diameter = '0_125'"),
         (head + "flwo: 3\n", "file.yaml, line 5: line's key = 'flwo': .*did you mean 'flow'"),

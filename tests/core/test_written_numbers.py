@@ -13,6 +13,7 @@ from warpcrete import SceneError, scenes
 from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.inputs.amounts import amount
 from warpcrete.core.inputs.limits import check_limit, check_velocity
+from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.geometry.lines import line_of
 from warpcrete.geometry.pumps import pump_of
 from warpcrete.mix.mix import mix_of
@@ -95,6 +96,10 @@ def test_a_scene_of_amounts_with_units_equals_a_scene_of_numbers():
     written, plain = scenes.pipe(diameter="100 mm", velocity="30 cm/s"), scenes.pipe(diameter=0.1, velocity=0.3)
     assert dict(written.parameters) == dict(plain.parameters)
     assert json.dumps(dict(written.parameters)) == json.dumps(dict(plain.parameters))
+
+
+def test_a_file_of_a_concrete_contains_plain_numbers():
+    assert yaml_text({"density": amount("density", "2.35 t/m3", "kg/m3")}) == "density: 2350.0\n"
 
 
 def test_the_command_quotes_an_option_as_written():

@@ -126,7 +126,7 @@ def test_a_line_has_the_band_of_its_mix(tmp_path):
     assert "100 % of the band of " in given.output and "comes from the slip layer" in given.output
     assert "layer_factor = 0.0" in str(CliRunner().invoke(cli, ["line", str(site), "--layer-factor", "0"]).exception)
     written(tmp_path, BULK | {"sizes": ["20 mm", "130 mm"]})
-    assert "largest_stone = 0.13: does not pass through part 1" in str(
+    assert "largest_stone = '130 mm': does not pass through part 1" in str(
         CliRunner().invoke(cli, ["line", str(site)]).exception
     )
 

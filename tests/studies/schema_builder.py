@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING
 from typing import Any
 
+from ingredient_schema import parts_schema
+
 from warpcrete.core.inputs.amounts import patterns
 from warpcrete.core.inputs.concretes import FACTOR_SOURCE, SECTIONS, TEXTS
 from warpcrete.core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
@@ -62,6 +64,8 @@ def concrete_schema() -> Schema:
     _, known = PipeParameters.of_concrete()
     constants = declared_fields(Concrete) | {name: declared_fields(ConcreteParameters)[name] for name in FACTORS}
     source = TEXT | {"description": "source of the factors for another age or temperature"}
+    texts = [{"type": "string", "pattern": text_pattern(unit)} for unit in ("kg/m3", "m3/m3", "kg", "m3")]
+    texts.append({"type": "string", "pattern": rf"^\s*{PER_CEMENT.pattern}\s*$"})
     found = {
         **{name: TEXT | {"description": TEXT_DESCRIPTIONS[name]} for name in TEXTS},
         "elements": _object({name: field_schema(fields[name]) for name in known}, "parameters of discrete elements"),
@@ -70,7 +74,8 @@ def concrete_schema() -> Schema:
         "mix": _mix_section(),
     }  # fmt: skip
     needed = [{"required": [key]} for key in (*SECTIONS, "mix", "base")]
-    return _file("A concrete of warpcrete", found) | {"anyOf": needed}
+    amount: Schema = {"anyOf": [{"type": "number"}, *texts]}
+    return _file("A concrete of warpcrete", found) | {"anyOf": needed, "definitions": {"amount_of_ingredient": amount}}
 
 
 def mix_schema() -> Schema:
@@ -232,11 +237,10 @@ def _mix_section() -> Schema:
     )
     off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
     passing = quantity("1", "fraction of the mass that passes")
-    texts = [{"type": "string", "pattern": text_pattern(unit)} for unit in ("kg/m3", "m3/m3", "kg", "m3")]
-    texts.append({"type": "string", "pattern": rf"^\s*{PER_CEMENT.pattern}\s*$"})
-    ingredient: Schema = {"description": "mass [kg/m3], or with its unit", "anyOf": [{"type": "number"}, *texts]}
+    ingredient: Schema = {"description": "mass [kg/m3], or with its unit",
+                          "allOf": [{"$ref": "#/definitions/amount_of_ingredient"}]}  # fmt: skip
     special: dict[str, Schema] = {
-        "parts": {"type": "object", "minProperties": 1, "additionalProperties": ingredient},
+        "parts": parts_schema(ingredient),
         "aggregate": {"type": ["number", "string"]},
         "sieve": {"type": "object", "minProperties": 2, "additionalProperties": passing,
                   "propertyNames": {"pattern": text_pattern("m")}},

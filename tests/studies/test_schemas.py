@@ -2,6 +2,7 @@
 
 import copy
 import json
+import warnings
 from pathlib import Path
 
 import jsonschema
@@ -12,13 +13,15 @@ from schema_builder import schemas
 from warpcrete.cli.main import cli
 from warpcrete.cli.schemas import FOLDER
 from warpcrete.cli.texts import CALIBRATE_HELP, LINE_HELP
-from warpcrete.core.errors import SceneError
+from warpcrete.core.errors import PlausibilityWarning, SceneError
 from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.core.inputs.text_files import read_mapping
 from warpcrete.core.inputs.yaml_files import parsed_yaml, yaml_text
 from warpcrete.geometry.lines import SHIPPED as LINES
 from warpcrete.geometry.lines import line_of
+from warpcrete.mix.ingredients import DENSITIES, density_of
 from warpcrete.mix.mix import mix_of
+from warpcrete.mix.reading import _check_ingredient
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.targets import task_of
@@ -146,6 +149,50 @@ def refused(kind, value, folder):
     except SceneError:
         return True
     return False
+
+
+GOOD_NAMES = (*DENSITIES, "Cement", "GGBS", "SP", "PP", "CEM I 42.5 N", "fly ash", "silica fume", "#57 stone",
+              "sand 0/4", "gravel 4/16", "Type I/II", "crushed limestone 8/16", "steel fibres", "Glenium 51",
+              "pigment")  # fmt: skip
+BAD_NAMES = ("cment", "Cemnet", "cementt", "wter", "waater", "Sadn", "sandd", "grvel", "gravle", "superplastcizer",
+             "limestome", "admixtrue", "Total", "batch weight", "w/c", "unit weight", "Slump", "air", "sizes", "c",
+             "xx", "FA")  # fmt: skip
+
+
+def ingredient_is_refused(name):
+    """Return whether the program refuses the name of an ingredient."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PlausibilityWarning)
+            _check_ingredient(name, 5)
+            density_of(name)
+    except SceneError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", [*GOOD_NAMES, *BAD_NAMES])
+def test_schema_and_program_agree_on_names_of_ingredients(name):
+    wrong = errors("mix", {"mix": {"parts": {name: "340 kg/m3"}}})
+    assert bool(wrong) == ingredient_is_refused(name) == (name in BAD_NAMES), wrong
+    assert bool(errors("concrete", {"mix": {"parts": {name: 340}}})) == (name in BAD_NAMES)
+
+
+def test_the_schema_never_refuses_a_name_that_the_program_accepts():
+    """Every misspelling by one letter is tried, with one letter of the alphabet at each place."""
+    valid = jsonschema.Draft7Validator(SCHEMAS["mix"]["properties"]["mix"]["properties"]["parts"]["propertyNames"])
+    letters = "aeghiklnorst"
+    for word in DENSITIES:
+        for k in range(len(word)):
+            other = letters[(k + len(word)) % len(letters)]
+            for name in (word[:k] + word[k + 1 :], word[:k] + other + word[k + 1 :], word[:k] + other + word[k:]):
+                assert not name or valid.is_valid(name) or ingredient_is_refused(name), name
+                assert valid.is_valid(name) != ingredient_is_refused(name) or len(word) < 5 or k == 0, name
+
+
+def test_editors_complete_the_names_of_ingredients():
+    parts = SCHEMAS["mix"]["properties"]["mix"]["properties"]["parts"]["properties"]
+    assert set(parts) == set(DENSITIES) and parts["cement"]["description"] == "powder, 3100 kg/m3"
 
 
 @pytest.mark.parametrize("kind", SCHEMAS)

@@ -192,7 +192,7 @@ def test_the_command(tmp_path):
         (("trade", "channel", "--budget", "5 apples"), "must be a time such as 90s, 20min or 2h"),
         (("trade", "chanel"), "scene = 'chanel': must be one of"),
         (("trade", "channel", "--spacing", "0.01", "0.02"), "must be a single value"),
-        (("trade", "--resume", tmp_path), "is not the folder of a trade"),
+        (("trade", "--resume", tmp_path), "is not the folder of a trade-off study"),
         (("trade", "channel", "--resume", tmp_path / "t"), "continues with the settings with which it began"),
     ):
         done = command(*words)

@@ -9,6 +9,7 @@ import click
 
 from ..core.device.device import find_device
 from ..core.errors import RunFolderError
+from ..core.run.folder_kinds import wrong_folder
 from ..studies.tradeoffs.advice import advise, nearest_shipped
 
 
@@ -28,10 +29,7 @@ def chosen(
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': has no effect without --accuracy; add, for example, --accuracy 5%")
     if trade is not None and not (trade / "trade.json").is_file():
-        raise RunFolderError(
-            f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
-            "trade.json); give the folder of a trade-off study"
-        )
+        raise RunFolderError(f"trade = '{trade}': {wrong_folder(trade, 'trade.json', resumed=False)}")
     try:
         part = float(accuracy.strip().removesuffix("%")) / 100
     except ValueError:

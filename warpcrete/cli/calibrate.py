@@ -9,6 +9,7 @@ from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError
 from ..core.inputs.by_name import trust_option
 from ..core.run.files import next_folder
+from ..core.run.folder_kinds import wrong_folder
 from ..core.run.progress import progress_bar
 from ..studies.calibration.calibrate import RECORD, resume_calibration, run_calibration
 from ..studies.calibration.calibration import Calibration
@@ -58,10 +59,7 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
             f"only {', '.join(f'--{name}' for name in CHANGEABLE_SETTINGS)} can be changed; leave out everything else"
         )
     if not (folder / RECORD).is_file():
-        raise RunFolderError(
-            f"resume = '{folder}': is not a folder made by 'warpcrete calibrate' (it contains no "
-            f"{RECORD}); give the folder of a calibration"
-        )
+        raise RunFolderError(f"resume = '{folder}': {wrong_folder(folder, RECORD)}")
     return resume_calibration(folder, modules, **settings)
 
 

@@ -7,6 +7,7 @@ import click
 
 from ..core.errors import RunFolderError
 from ..core.run.files import next_folder
+from ..core.run.folder_kinds import wrong_folder
 from ..core.run.progress import progress_bar
 from ..studies.reproduction.reproduce import RECORD, reproduce, resume_reproduction
 from .run import INTERRUPTED
@@ -29,10 +30,7 @@ def run(
                     "--processes can be changed; leave out everything else"
                 )
             if not (resume / RECORD).is_file():
-                raise RunFolderError(
-                    f"resume = '{resume}': is not a folder made by 'warpcrete reproduce' (it contains "
-                    f"no {RECORD}); give the folder of a reproduction"
-                )
+                raise RunFolderError(f"resume = '{resume}': {wrong_folder(resume, RECORD)}")
             found = resume_reproduction(resume, processes=processes, progress=tell)
         elif paper is None:
             raise click.UsageError(

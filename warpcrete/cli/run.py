@@ -15,6 +15,7 @@ from ..core.inputs.by_name import trust_option
 from ..core.inputs.limits import check_limit
 from ..core.inputs.parameters import declared_fields
 from ..core.run.files import next_folder, read_json
+from ..core.run.folder_kinds import wrong_folder
 from ..core.run.method import report_of
 from ..core.run.progress import ProgressBar, no_progress, rate_text
 from ..core.run.recorder import Recorder
@@ -36,10 +37,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
     `modules` maps the name of each scene to its Python module. `live`, `bind` and `quiet` are options of the command.
     """
     if not (folder / "scene.json").is_file():
-        raise RunFolderError(
-            f"resume = '{folder}': is not the folder of a run (it contains no scene.json); give the "
-            "folder of an interrupted run"
-        )
+        raise RunFolderError(f"resume = '{folder}': {wrong_folder(folder, 'scene.json')}")
     record, module = repeatable_scene(folder / "scene.json", modules)
     if is_finished(folder):
         raise RunFolderError(

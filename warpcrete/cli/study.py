@@ -1,16 +1,19 @@
 """Command `warpcrete study`: runs a scene for all combinations of parameter values and prints a table."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ..core.device.device import PRECISIONS
-from ..core.errors import RunFolderError, suggested
+from ..core.errors import RunFolderError, SceneError, suggested
+from ..core.inputs.amounts import listed
 from ..core.inputs.by_name import trust_option
-from ..core.inputs.parameters import CompositeRule, Field
+from ..core.inputs.parameters import CompositeRule, Field, OneOf, Suggests
 from ..core.run.files import next_folder, read_record
+from ..core.run.folder_kinds import wrong_folder
 from ..record.recorders import RECORDERS
 from ..studies.api import study_progress
 from ..studies.study import resume_study, run_study, written_units
@@ -179,9 +182,7 @@ def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
     """
     record = f"{kind}.json"
     if not (folder / record).is_file():
-        raise RunFolderError(
-            f"resume = '{folder}': is not the folder of a {kind} (it contains no {record}); give the folder of a {kind}"
-        )
+        raise RunFolderError(f"resume = '{folder}': {wrong_folder(folder, record)}")
     name = read_record(folder / record).get("scene")
     if name not in modules:
         raise RunFolderError(
@@ -257,11 +258,43 @@ def parameter_values(
             words = words or ["false" if negative else "true"]
         if not words:
             raise click.UsageError(f"--{option}: needs one or more values; write the values after it")
-        if kind is float:
-            found[name] = [quantity_of(word, known[name], option) for word in words]
-        else:
-            found[name] = [converted(option, word, kind) for word in words]
+        found[name] = [_value(option, word, known[name]) for word in words]
     return found
+
+
+def _value(option: str, word: str, field: Field) -> Any:
+    """Return the value of a parameter from the text `word` that follows the option `option`.
+
+    If `word` is a list such as "0.1,0.2", the error message says that spaces separate the values.
+    """
+    try:
+        return _converted_value(option, word, field)
+    except (SceneError, click.UsageError) as error:
+        if "thousands" in str(error) or not _is_list(option, word, field):
+            raise
+    values = " ".join(f"'{each}'" if " " in each else each for each in listed(word))
+    raise click.UsageError(
+        f"--{option} = {word!r}: is a list; separate the values by spaces, as in --{option} {values}"
+    )
+
+
+def _is_list(option: str, word: str, field: Field) -> bool:
+    """Return whether `word` consists of several values of a parameter, separated by commas or semicolons."""
+    with suppress(SceneError, click.UsageError):
+        pieces = listed(word)
+        return len(pieces) > 1 and all(_converted_value(option, each, field) is not None for each in pieces)
+    return False
+
+
+def _converted_value(option: str, word: str, field: Field) -> Any:
+    """Return `word` converted to the type of a parameter."""
+    if field.kind is float:
+        return quantity_of(word, field, option)
+    usual = {str(each) for rule in field.of_kind(OneOf) for each in rule.choices}
+    usual |= {each for rule in field.of_kind(Suggests) for each in rule.values()}
+    if field.kind is str and len(names := listed(word)) > 1 and usual.issuperset(names):
+        raise click.UsageError(f"--{option} = {word!r}: must be one name")
+    return converted(option, word, field.kind)
 
 
 def converted(name: str, word: str, kind: Any) -> Any:

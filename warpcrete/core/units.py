@@ -41,8 +41,9 @@ def shown(unit: str) -> tuple[float, str]:
 
 
 def rounded(value: float, digits: int = 4) -> str:
-    """Return a number as text with `digits` significant digits.
+    """Return a number as text with at most `digits` significant digits, without zeros at the end.
 
-    Numbers below 0.0001, and numbers from 1e6 on, are written with an exponent.
+    Numbers below 0.0001 are written with an exponent. So are numbers from 1e6 on, or from 10**digits on if `digits`
+    exceeds 6.
     """
-    return f"{float(f'{value:.{digits}g}'):g}"
+    return f"{float(f'{value:.{digits}g}'):.{max(digits, 6)}g}"

@@ -82,6 +82,20 @@ OTHER_NAMES = {
 }  # fmt: skip
 """Wrong names that users may write for entries of a mix, each mapped to the correct name, which the error message
 states. The wrong names are in lower case, with single spaces between words."""
+NO_ENTRIES = {
+    **dict.fromkeys(("strength", "strength class", "compressive strength", "cube strength", "cylinder strength", "fc",
+                     "grade", "class", "exposure", "exposure class"),
+                    "leave it out, because the flow of fresh concrete does not follow from it; state 'slump' or "
+                    "'spread' instead"),
+    **dict.fromkeys(("yield stress", "viscosity", "plastic viscosity", "flow index", "quadratic viscosity"),
+                    "it belongs to the entry 'concrete', as in 'concrete: {yield_stress: 50 Pa, viscosity: 30 Pa s}'"),
+    **dict.fromkeys(("slip viscosity", "slip yield", "slip layer"),
+                    "it belongs to the entry 'layer', as in 'layer: {yield_stress: 20 Pa, viscosity: 900 Pa s/m}'"),
+    **dict.fromkeys(("pump flow", "volume flow", "velocity", "diameter", "length", "pressure"),
+                    "it describes a line, not a concrete; write it in the file of the line"),
+}  # fmt: skip
+"""Corrections for words that users write as entries of a mix although a mix has no such entry. The words are in lower
+case, with single spaces between them."""
 TOTALS = ("total", "sum", "total mass", "total weight", "batch weight", "total batch weight", "batch total")
 """Names under which delivery notes state the sum of all ingredients."""
 GRAVEL = 2650.0

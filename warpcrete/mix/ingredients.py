@@ -194,6 +194,11 @@ def _density(name: str, coarse: float) -> float | None:
     return DENSITIES[(heavy or [noun])[0]]
 
 
+def is_ingredient(name: str) -> bool:
+    """Return whether the program recognises an ingredient by a word in its name, such as "cement"."""
+    return _noun(name) != ""
+
+
 def is_coarse(name: str) -> bool:
     """Return whether the name of an ingredient means coarse aggregate.
 

@@ -1,5 +1,6 @@
 """Functions that read the description of a mix from a file, convert its entries to SI units and check them."""
 
+import difflib
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,12 +11,13 @@ from ..core.inputs.amounts import LONGEST, amount, is_amount, is_customary
 from ..core.inputs.concretes import FACTORS_BELONG, MISPLACED_FACTORS
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
-from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, TOTALS, MixEntries
+from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NO_ENTRIES, NUMBERS, OTHER_NAMES, TOTALS, MixEntries
 from .ingredients import (
     MIN_AMOUNT,
     check_volume,
     is_cement,
     is_coarse,
+    is_ingredient,
     is_thickener,
     mass_per_volume,
     paste_volumes,
@@ -85,8 +87,13 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
                 refuse("mix key", key, problem, "subtract the surface moisture from the sand, and add it to the water")
             if key in MISPLACED_FACTORS:
                 refuse("mix key", key, "is not an entry of a mix", FACTORS_BELONG)
+            if name in NO_ENTRIES or (name == "flow" and is_amount(given[key], "m3/s")):
+                refuse("mix key", key, "is not an entry of a mix", NO_ENTRIES.get(name, NO_ENTRIES["volume flow"]))
             if (own := OTHER_NAMES.get(name)) is not None:
                 refuse("mix key", key, f"is called {own!r} in a mix", f"write '{own}: {given[key]}'")
+            if key not in KEYS and is_ingredient(name) and not difflib.get_close_matches(str(key), KEYS, 1, 0.75):
+                problem = "is an ingredient, not an entry of a mix"
+                refuse("mix key", key, problem, f"write '{key}: {given[key]}' below 'parts:', and indent it")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "cannot be combined with 'sieve'", "leave out 'sizes' or 'sieve'")

@@ -31,7 +31,7 @@ class CoarseGrid:
     All neighbours of a particle lie in the particle's own cube or in an adjacent cube.
     """
 
-    def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
+    def __init__(self, structs: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
         """Build the cubes around a column of concrete in a pipe with the `radius` [m].
 
         `structs` contains the struct types of the kernels. `layout` holds the initial positions of the particles. Two

@@ -35,7 +35,7 @@ from .common.mixes import (
     file_aggregates,
     file_constants,
 )
-from .scene import ENDS, Aggregates, FlowSettings, FluidScene
+from .scene import ENDS, MIN_PARTICLES_ACROSS, Aggregates, FlowSettings, FluidScene
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
@@ -48,9 +48,6 @@ In the pipe and at the flow rate of Xu, Li & Jiang 2021, slip carries only 70 % 
 MIN_SLIP_RATIO = 0.9
 """Minimum ratio of slip velocity to mean velocity for simulating a flow as a column of concrete that a piston pushes
 through the pipe. With less slip, the column loses volume and its forces do not balance."""
-MIN_PARTICLES_ACROSS = 4
-"""Minimum number of particles across the pipe. The search for faster settings skips particle spacings that would place
-fewer particles across the pipe."""
 FLOW = 1500e-6
 """Volume flow of the reference case of Xu, Li & Jiang 2021 [m3/s]."""
 NEEDS_AGGREGATES = Needs("aggregates", bool, "is on")

@@ -117,7 +117,7 @@ class MovingParticles(Stepping):
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:
             return None
-        return CoarseGrid(self.structs, self.scalar, layout, self.scene.radius, reach, self.device)
+        return CoarseGrid(self.structs, layout, self.scene.radius, reach, self.device)
 
     def _solve(self, struct: Any) -> Any:
         """Return new working arrays for the solve of one linear system."""

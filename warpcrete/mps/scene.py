@@ -18,7 +18,9 @@ from ..core.inputs.parameters import Above, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 from .common.settings import STEP_ERROR, check_interval
 
-MIN_PARTICLES_ACROSS = 4  # Minimum number of particles across the pipe.
+MIN_PARTICLES_ACROSS = 4
+"""Minimum number of particles across the pipe. A scene with fewer particles is refused, and the search for faster
+settings skips it."""
 ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 STRUCTURED = Needs("rest", lambda value: value > 0, "is above 0", ("rebuild_rate",))

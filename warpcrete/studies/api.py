@@ -6,7 +6,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import flag, refuse
+import numpy as np
+
+from ..core.errors import SceneError, flag, refuse, suggested
 from ..core.run.files import output_folder
 from ..core.run.progress import progress_bar, stderr_is_terminal
 from .study import Progress, run_study
@@ -14,6 +16,10 @@ from .study_result import Study
 
 SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "frames", "checkpoint_every", "scheduler",
             "workers", "progress", "rerun", "usd")  # fmt: skip
+
+
+LISTS = (list, tuple, range, np.ndarray)
+"""Types of lists of values that users may give as a fixed parameter of a study by mistake."""
 
 
 def study(
@@ -32,10 +38,19 @@ def study(
     raises.
     """
     name, module = module_of(scene)
+    lists = {key: np.asarray(values).tolist() for key, values in given.items() if isinstance(values, LISTS)}
+    if lists:
+        values = dict(vary) | lists if isinstance(vary, Mapping) else lists
+        problem = "is a list; a study varies only the parameters in 'vary'"
+        refuse(next(iter(lists)), next(iter(lists.values())), problem, f"write vary={values}")
+    for key, values in given.items() if vary is None else ():
+        if isinstance(values, Mapping) and suggested(key, ["vary"]):
+            refuse(key, values, "is not a parameter", suggested(key, ["vary"]))
+    if vary is None:
+        raise SceneError("vary: is missing; name the parameters and their values, for example "
+                         'vary={"velocity": [0.3, 0.5]}')  # fmt: skip
     if not isinstance(vary, Mapping):
-        lists = {key: values for key, values in given.items() if isinstance(values, list | tuple)}
-        example = f"vary={lists}" if lists else 'for example vary={"velocity": [0.3, 0.5]}'
-        refuse("vary", vary, "must map each parameter to a list of values", example)
+        refuse("vary", vary, "must map each parameter to a list of values", 'for example vary={"velocity": [0.3, 0.5]}')
     for key, values in vary.items():
         if not isinstance(key, str):
             refuse("vary", key, "is not the name of a parameter", 'for example vary={"velocity": [0.3, 0.5]}')

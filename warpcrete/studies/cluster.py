@@ -54,6 +54,10 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
             problem = "has no effect without a scheduler"
             refuse("workers", workers, problem, "give 'scheduler' as well, or leave out 'workers'")
         return
+    if not isinstance(scheduler, str):
+        refuse(
+            "scheduler", scheduler, f"must be one of {', '.join(SCHEDULERS)}, or an address such as tcp://node1:8786"
+        )
     if processes is not None:
         refuse("processes", processes, "cannot be combined with a scheduler", "set 'workers' instead")
     if workers is not None:

@@ -263,6 +263,11 @@ def amount(field: str, value: object, unit: str) -> float:
     return WrittenNumber(number + 0.0, value.strip()) if isinstance(value, str) and not bare_number(value) else number
 
 
+def listed(text: str) -> list[str]:
+    """Return the texts that commas or semicolons separate in `text`, without brackets around the list."""
+    return [each.strip() for each in re.split("[,;]", text.strip("[]() "))]
+
+
 OTHER_QUANTITIES = {
     "m3/s": ("m/s", "this is a velocity; multiply it by the area of the bore, 0.785 times its diameter squared"),
     "m/s": ("m3/s", "this is a flow; divide it by the area of the bore, 0.785 times its diameter squared"),
@@ -281,11 +286,13 @@ def _advice(text: str, unit: str) -> str:
         if math.isfinite(_parsed(rest, unit)):
             return f"leave out the {'comma' if text.endswith(',') else 'semicolon'} at the end"
         return _advice(rest, unit)
-    if re.match(r"[-+]?[0-9]+[.,][0-9]+[.,]", text):
+    if re.match(r"[-+]?[0-9]{1,3}(?:[.,][0-9]{3})+[.,][0-9]*(?![0-9.,])", text):
         return "leave out separators of thousands"
     if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):
         return (f"the comma in {found[0]} may separate decimals or thousands; write {found[1]}.{found[2]} or "
                 f"{found[1]}{found[2]}")  # fmt: skip
+    if len(pieces := listed(text)) > 1 and all(math.isfinite(_parsed(each, unit)) for each in pieces):
+        return f"this is a list of {len(pieces)} numbers, but must be one number"
     if re.match(r"[-+]?[0-9]+(?:[\s-]+[0-9]+)?/[0-9]", text):
         return ("write fractions of inches or feet as '4 1/2 in', in halves to sixty-fourths" if unit == "m"
                 else "write a decimal number instead of a fraction")  # fmt: skip

@@ -54,11 +54,11 @@ class Within:
 
     def check(self, name: str, value: float, unit: str) -> None:
         """Refuse a value outside [lower, upper]."""
-        if math.isfinite(value) and self.lower <= value <= self.upper:
+        if self.lower <= value <= self.upper and math.isfinite(value):
             return
         span = f"in [{self.lower:g}, {self.upper:g}]" if math.isfinite(self.upper) else "finite"
         if math.isfinite(self.lower) and not math.isfinite(self.upper):
-            span = f"finite and at least {self.lower:g}"
+            span = f"{'' if isinstance(value, int) else 'finite and '}at least {self.lower:g}"
         refuse(name, value, f"must be {span}{unit}", self.hint)
 
 
@@ -217,6 +217,9 @@ class Field:
             except OverflowError:
                 refuse(name, value, "is too large to compute with", "give a smaller value, in SI units")
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
+            for rule in self.of_kind(Within):
+                if not rule.lower <= value <= rule.upper:
+                    rule.check(name, value, self.unit)
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
             # Adding 0.0 turns -0.0 into 0.0, so that both zeros give the same text and fingerprint.

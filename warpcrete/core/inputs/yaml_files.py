@@ -12,6 +12,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.representer import SafeRepresenter
 from ruamel.yaml.resolver import VersionedResolver
 from ruamel.yaml.scanner import Scanner
 from ruamel.yaml.tag import Tag
@@ -203,9 +204,17 @@ class _Values:
         return value
 
 
+class NumberRepresenter(SafeRepresenter):
+    """YAML representer that also writes instances of subclasses of `float`, such as numbers that remember a text."""
+
+
+NumberRepresenter.add_multi_representer(float, SafeRepresenter.represent_float)
+
+
 def yaml_text(data: Mapping[str, object]) -> str:
     """Return a mapping as YAML text, with its keys in their order."""
     writer = YAML(typ="safe", pure=True)
+    writer.Representer = NumberRepresenter
     writer.default_flow_style = False
     writer.allow_unicode = True
     writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]

@@ -24,6 +24,7 @@ from ..units import shown
 from .columns import Columns
 from .ending import Ending
 from .files import LOCK, PARTIAL, cannot_write, check_new
+from .folder_kinds import missing_recording
 from .folders import FolderLock, new_folder
 from .output import RunOutput, output_of
 from .quantities import Quantities, Result, conditions_of
@@ -288,10 +289,8 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     `bind`. Otherwise the viewer is a window. Raises :class:`RunFolderError` if there is no recording.
     """
     recording = run / "run.rrd" if run.is_dir() else run
-    if not recording.is_file():
-        raise RunFolderError(
-            f"'{run}': contains no recording (run.rrd); record a new run with 'warpcrete run SCENE --out FOLDER'"
-        )
+    if not recording.is_file() or (recording == run and run.suffix.lower() != ".rrd"):
+        raise RunFolderError(f"'{run}': {missing_recording(run)}")
     # The recording of an unfinished run has several files, which the viewer shows as one recording.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
     return (web_viewer if web or not has_screen() else screen_viewer)([recording, *parts], bind)

@@ -168,7 +168,8 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
                 refuse("targets", key, "is not a key of the file of targets", known_names(key, KEYS))
     base = raw.get("base")
     if base is not None:
-        concrete(str(base))
+        with errors_located_at(raw, "base"):
+            concrete(str(base))
     vary, listed = raw.get("vary"), raw.get("targets")
     with errors_located_at(raw, "vary"):
         if not isinstance(vary, Mapping) or not vary:

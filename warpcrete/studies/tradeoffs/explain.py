@@ -16,6 +16,7 @@ from ...core.inputs.fingerprints import fingerprint
 from ...core.inputs.knobs import Knob
 from ...core.inputs.origin import arguments_of
 from ...core.run.files import folder_path, read_json, read_record, write_json
+from ...core.run.folder_kinds import wrong_folder
 from ...core.run.forecast import Forecast
 from ...core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES
 from ...core.run.provenance import provenance
@@ -231,10 +232,7 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():
-            raise RunFolderError(
-                f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
-                "trade.json); give the folder of a trade-off study"
-            )
+            raise RunFolderError(f"trade = '{trade}': {wrong_folder(trade, 'trade.json', resumed=False)}")
         record = read_record(trade / "trade.json")
         if record.get("scene") != scene.name:
             problem = f"is a trade-off study of the scene {record.get('scene')!r}, not of {scene.name!r}"

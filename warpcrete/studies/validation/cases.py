@@ -133,9 +133,10 @@ def _cases(given: Mapping[str, Any], folder: Path) -> list[Case]:
         with errors_located_at(entries, number):
             found.append(_case(entry, sources, lines, folder))
     names = [case.name for case in found]
-    for name in names:
-        if names.count(name) > 1:
-            refuse("case id", name, "is used twice", "give every case its own id")
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            with errors_located_at(entries, number):
+                refuse("case id", name, "is used twice", "give every case its own id")
     return found
 
 
