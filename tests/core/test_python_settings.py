@@ -110,7 +110,7 @@ def test_names_of_varied_parameters_are_texts():
     with pytest.raises(SceneError, match="vary = 3"):
         warpcrete.study(scenes.slump, vary={3: [1, 2]}, **SMALL)
     # Several values outside of `vary` lead to the lines to write.
-    with pytest.raises(SceneError, match=r"must map each .*; vary=\{'yield_stress': \[100, 200\]\}"):
+    with pytest.raises(SceneError, match=r"is a list; .*; write vary=\{'yield_stress': \[100, 200\]\}"):
         warpcrete.study(scenes.slump, yield_stress=[100, 200])
 
 
