@@ -10,7 +10,7 @@ from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import mps_types
 from .bodies import SEARCH_LOOPS, BodyKind, body_functions, body_structs, shape_functions
-from .pairs import CAPACITY, LOOKED_AT, WALL, pair_struct, store_functions
+from .pairs import CAPACITY, LOOKED_AT, MISSING, MISSING_AT_WALL, WALL, pair_struct, store_functions
 
 TURNS = 6
 """Number of steps in which a search for a wall moves over the surface of an aggregate."""
@@ -209,7 +209,7 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
             reduced = radius * size / (radius + size)
             pair.store(
                 g, pairs, b, k, o, n, away - (radius + size), approach, scalar(0.0), reduced, radius,
-                cutoff, roughness, dt, longest,
+                cutoff, scalar(MISSING), roughness, dt, longest,
             )  # fmt: skip
         # Neighbours also include the sides of the box that are walls or planes of symmetry. Beyond a plane of symmetry
         # lies the mirror image of the aggregate. For this image, the reduced radius is half the reduced radius for a
@@ -225,6 +225,7 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
                 if side % 2 == 1:
                     gap = scalar(g.n[axis]) * g.width[axis] - (x[axis] - g.origin[axis]) - radius
                 part = wp.where((mirrors >> side) % 2 == 1, scalar(0.5), scalar(1.0))
+                missing = wp.where((mirrors >> side) % 2 == 1, scalar(0.5) * scalar(MISSING), scalar(MISSING_AT_WALL))
                 if gap < closest and (mirrors >> side) % 2 == 0:
                     # A side that lies behind another wall, such as a pipe's, does not count.
                     there, slope, wall = wall_gap(g, geometry, x + radius * n)
@@ -235,7 +236,7 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
                     approach = wp.dot(moves, n)
                     count = pair.store(
                         g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
-                        part * roughness, dt, longest,
+                        missing, part * roughness, dt, longest,
                     )  # fmt: skip
         # Search for walls other than the sides of the box, from the centre of the aggregate and from six points of its
         # surface. The grid stores the distance from the nearest wall only, which may be a side of the box. The first
@@ -260,8 +261,8 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
                         still = wp.dot(moving, n)
                         approach = wp.dot(moves, n) - still
                         count = pair.store(
-                            g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt,
-                            longest,
+                            g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff,
+                            scalar(MISSING_AT_WALL), roughness, dt, longest,
                         )  # fmt: skip
         pairs.count[b] = count
 

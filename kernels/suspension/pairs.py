@@ -1,7 +1,7 @@
 """Lubrication and contacts between aggregates, and between aggregates and walls.
 
-The grid resolves the flow between two aggregates if their gap is at least about one cell wide (the cut-off gap). In
-narrower gaps, a force is added: the lubrication force at the actual gap minus the lubrication force at the cut-off gap.
+The grid resolves the flow between two aggregates only in part if their gap is narrower than about two cells (the
+cut-off gap). In such gaps, the part of the lubrication force that is missing on the grid is added as a force.
 Touching aggregates repel each other. Both forces depend linearly on the relative velocity along the line of centres, so
 they are part of the matrix of the implicit solve and do not limit the time step.
 
@@ -32,6 +32,13 @@ NEW = wp.constant(2)
 The latest check of a solution has found that the pair would overlap at the end of this time step. The solve is then
 repeated with the contact force of the pair, if fewer than the maximum number of repetitions were made. The next check
 changes the value to 1."""
+MISSING, MISSING_AT_WALL = wp.constant(0.3), wp.constant(0.6)
+"""Constants of the lubrication force that is missing on the grid, between two aggregates and at a wall.
+
+At a gap h, the grid gives about the lubrication force at the larger gap h + d. The length d is the constant times
+w sqrt(w / a), where w is the width of a cell, and 1 / a = 1 / R1 + 1 / R2 with the radii R1 and R2 of the spheres. At a
+wall, a is the radius of the sphere. The constants were fitted to the approach of two spheres and of a sphere and a wall
+(Brenner 1961) with 4 and 8 cells across a sphere."""
 HOLD = wp.constant(300.0)
 """Resistance of a contact to approach, divided by the resistance of the aggregate to motion by drag and inertia.
 
@@ -100,13 +107,14 @@ def store_functions(scalar) -> SimpleNamespace:
     @wp.func
     def store(
         g: Grid, pairs: Pairs, b: wp.int32, count: wp.int32, other: wp.int32, normal: vec, gap: scalar,
-        approach: scalar, still: scalar, reduced: scalar, radius: scalar, cutoff: scalar, roughness: scalar, dt: scalar,
-        longest: scalar,
+        approach: scalar, still: scalar, reduced: scalar, radius: scalar, cutoff: scalar, missing: scalar,
+        roughness: scalar, dt: scalar, longest: scalar,
     ) -> wp.int32:  # fmt: skip
         """Store a neighbour of sphere `b` with the coefficients of its forces, and return the new number of neighbours.
 
         `approach` is the speed of approach at the start of the step [m/s]. `reduced` is the product of both radii
-        divided by their sum [m], which is the radius of the sphere if the neighbour is a wall.
+        divided by their sum [m], which is the radius of the sphere if the neighbour is a wall. `missing` is the
+        constant of the lubrication force that is missing on the grid, such as MISSING.
         """
         if count == CAPACITY:
             pairs.full[0] = 1
@@ -117,9 +125,13 @@ def store_functions(scalar) -> SimpleNamespace:
         lubrication = scalar(0.0)
         if open < cutoff:
             # At a small gap h, the force per speed of approach is 6 pi mu a^2 / h, where mu is the viscosity and
-            # 1 / a = 1 / R1 + 1 / R2 with the radii R1 and R2 of the spheres (Brenner 1961).
-            missing = scalar(1.0) / open - scalar(1.0) / cutoff
-            lubrication = scalar(6.0 * wp.pi) * g.viscosity * reduced * reduced * missing
+            # 1 / a = 1 / R1 + 1 / R2 with the radii R1 and R2 of the spheres (Brenner 1961). The grid gives the force
+            # at the gap h + d. The added force is zero at the cut-off gap.
+            width = wp.max(g.width)
+            d = missing * width * wp.sqrt(width / reduced)
+            inverse = scalar(1.0) / open - scalar(1.0) / (open + d)
+            inverse -= scalar(1.0) / cutoff - scalar(1.0) / (cutoff + d)
+            lubrication = scalar(6.0 * wp.pi) * g.viscosity * reduced * reduced * inverse
         pairs.other[place] = other
         pairs.normal[place] = normal
         pairs.gap[place] = gap

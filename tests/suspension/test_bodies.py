@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from warpcrete.kernels.suspension.pairs import MISSING
 from warpcrete.mps.grid.geometry import ROUGH
 from warpcrete.suspension.aggregates import Aggregates
 from warpcrete.suspension.flow import CUTOFF_CELLS
@@ -206,7 +207,9 @@ def test_a_plane_of_symmetry_acts_like_the_mirror_image(device):
     flow.take(1)
     reduced, gap, cutoff = RADIUS / 2, 0.2 * WIDTH, CUTOFF_CELLS * WIDTH
     # The force is that at twice the speed of approach.
-    image = 6 * np.pi * VISCOSITY * reduced**2 * (1 / gap - 1 / cutoff)
+    resolved = float(MISSING) * WIDTH * np.sqrt(WIDTH / reduced)
+    inverse = 1 / gap - 1 / (gap + resolved) - (1 / cutoff - 1 / (cutoff + resolved))
+    image = 6 * np.pi * VISCOSITY * reduced**2 * inverse
     assert flow.aggregates.pairs.lubrication.numpy()[0] == pytest.approx(2 * image, rel=0.02)
 
 

@@ -29,11 +29,11 @@ from .aggregates import Aggregates, BodyState
 from .entrance import Entrance
 from .solve import CoupledSolve, Tolerances
 
-CUTOFF_CELLS = 0.7
+CUTOFF_CELLS = 2.0
 """Smallest gap between two aggregates that the grid resolves, in cell widths.
 
 In narrower gaps, the grid gives only a part of the lubrication force, and the rest is added as a force between the two
-aggregates. The value was fitted to the approach of two spheres (Brenner 1961) with four cells across a sphere.
+aggregates.
 """
 
 PORE_DRAG = 0.2

@@ -95,8 +95,8 @@ def wall_resistance(gap: float) -> float:
 
 # Largest accepted errors of the speed with 4 and with 8 cells across a sphere. `validation/suspension-exact.md` lists
 # the actual errors.
-APPROACH = {4: 0.13, 8: 0.21}
-WALL = {4: 0.18, 8: 0.13}
+APPROACH = {4: 0.12, 8: 0.21}
+WALL = {4: 0.15, 8: 0.07}
 
 
 def approach_case(device: str, precision: str) -> list[Row]:

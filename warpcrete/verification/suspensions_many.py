@@ -19,11 +19,12 @@ from ..suspension.flow import SuspensionFlow
 from ..suspension.placing import random_places
 from ..suspension.solve import Tolerances
 from .case import Case, Row
-from .suspensions import DENSITY, RADIUS, VISCOSITY, mortar_flow
+from .suspensions import DENSITY, RADIUS, VISCOSITY, mortar_flow, take
 
 RATE = 1e-5
 """Shear rate [1/s], so low that the inertia of the mortar does not matter."""
 YIELD_STEPS = 15
+MOVING_STEPS = 10
 SEEDS = 3
 """Number of random arrangements of spheres over which results are averaged."""
 
@@ -184,9 +185,44 @@ def yield_case(device: str, precision: str) -> list[Row]:
     return [Row("yield stress, divided by that of the mortar", factor, expected, 0.15)]
 
 
+def settling_together(
+    number: float, device: str, precision: str, tolerances: Tolerances, steps: int = MOVING_STEPS
+) -> np.ndarray:
+    """Return the velocities of four spheres that sink from rest [m/s], shape (steps, 4, 3).
+
+    `number` is the viscous number dt mu / (rho h^2) of a time step dt, with the viscosity mu and the density rho of the
+    mortar and the width h of a cell. `tolerances` are those of the coupled solve.
+    """
+    width = RADIUS / 2
+    centres = RADIUS * np.array([[-1.3, -1.1, -1.4], [1.2, -1.0, -0.9], [-0.9, 1.3, 0.8], [1.1, 1.2, 1.7]])
+    spheres = Aggregates(centres, np.full(4, RADIUS), DENSITY + 10)
+    flow = mortar_flow(
+        (16, 16, 20), width, spheres, device, precision, tolerances=tolerances,
+        time_step=number * DENSITY * width**2 / VISCOSITY,
+    )  # fmt: skip
+    return np.array([take(flow, 1) for _ in range(steps)])
+
+
+def moving_case(device: str, precision: str) -> list[Row]:
+    """Compare velocities of spheres in mortar with those of a coupled solve with a much smaller tolerance.
+
+    The spheres start from rest, and the following steps start with moving spheres. Each row states the largest error of
+    a velocity, divided by the largest velocity of a sphere in the same step.
+    """
+    exact = Tolerances(coupled=1e-6 if precision == "float64" else 1e-5)
+    rows = []
+    for number in (1e2, 1e4):
+        ours, reference = (settling_together(number, device, precision, each) for each in (Tolerances(), exact))
+        errors = np.abs(ours - reference).max((1, 2)) / np.abs(reference).max((1, 2))
+        for name, part in (("first step, from rest", errors[:1]), ("other steps, in motion", errors[1:])):
+            rows.append(Row(f"viscous number {number:g}: {name}", float(part.max()), 0.0, 0.02, scale=1.0))
+    return rows
+
+
 GROUP = "aggregates in mortar"
 CASES = [
     Case("balance of many spheres", "conservation laws", balance_case, GROUP),
+    Case("velocities of spheres in long steps", "coupled solve with a small tolerance", moving_case, GROUP),
     Case("viscosity of a random suspension", "Lionberger & Russel 1994", random_case, GROUP, slow=True),
     Case("yield stress of a suspension", "Chateau et al. 2008", yield_case, GROUP, slow=True),
 ]
