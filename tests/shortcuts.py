@@ -11,7 +11,11 @@ import pickle
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
+from matplotlib.collections import Collection
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.spines import Spine
 
 from warpcrete.core.device.device import parallel
 from warpcrete.core.inputs.fingerprints import fingerprint
@@ -20,6 +24,10 @@ from warpcrete.dem.scene.bodies import BodyTable
 
 COARSE = 40
 """Pixels per inch of a picture that is cut short."""
+
+CONTENTS = ("text", "xydata", "array", "offsets", "facecolor", "color", "linestyle", "linewidth", "marker", "xlim",
+            "ylim", "xscale", "yscale", "position", "aspect", "xy")  # fmt: skip
+"""Properties of Matplotlib's artists that decide what a picture of a run shows."""
 
 
 class SharedPackings:
@@ -54,16 +62,47 @@ class SharedPackings:
 
 
 class CoarsePictures:
-    """Replacement of `Figure.savefig` in Matplotlib: all is drawn, but at few pixels and without a computed layout."""
+    """Replacement of `Figure.savefig` in Matplotlib: all is drawn, but at few pixels and without a computed layout.
+
+    Tests repeat short runs. A figure with the data and texts of an earlier figure is not drawn again: its file gets the
+    contents of the earlier file.
+    """
 
     def __init__(self, save):
-        self.save, self.active = save, True
+        self.save, self.active, self.drawn = save, True, {}
 
     def __call__(self, figure, *arguments, **settings):
-        if self.active:
-            figure.set_layout_engine("none")
-            settings["dpi"] = COARSE
-        return self.save(figure, *arguments, **settings)
+        if not self.active:
+            return self.save(figure, *arguments, **settings)
+        figure.set_layout_engine("none")
+        settings["dpi"] = COARSE
+        if len(arguments) != 1 or not isinstance(arguments[0], str | Path):
+            return self.save(figure, *arguments, **settings)
+        path, key = Path(arguments[0]), (contents_of(figure), repr(settings))
+        if key not in self.drawn:
+            self.save(figure, path, **settings)
+            self.drawn[key] = path.read_bytes()
+        path.write_bytes(self.drawn[key])
+        return None
+
+
+def contents_of(figure: Figure) -> bytes:
+    """Return a digest of the artists of a figure: their types, texts, sizes, colours, limits and plotted numbers."""
+    digest = hashlib.sha256(repr(figure.get_size_inches()).encode())
+    for artist in figure.findobj(lambda artist: not isinstance(artist, Spine)):
+        digest.update(f"{type(artist).__name__} {artist.get_visible()} {artist.get_zorder()}".encode())
+        for name in CONTENTS:
+            if (get := getattr(artist, f"get_{name}", None)) is not None:
+                value = get()
+                numbers = isinstance(value, np.ndarray) and value.dtype != object
+                digest.update(np.ascontiguousarray(value).tobytes() if numbers else repr(value).encode())
+        if isinstance(artist, Collection):
+            paths = artist.get_paths()
+        else:
+            paths = [artist.get_path()] if isinstance(artist, Patch) else []
+        for path in paths:
+            digest.update(path.vertices.tobytes())
+    return digest.digest()
 
 
 class Shortcuts:

@@ -14,9 +14,11 @@ from warpcrete.theory.pipe import (
     FORMS,
     Concrete,
     Line,
+    _flow_at,
     after_rest,
     flow_of_pressure,
     kaplan,
+    least_stress,
     measured_layer,
     restart,
     steady,
@@ -55,6 +57,21 @@ def test_flow_is_the_integral_of_the_profile(name, thickness, form):
     weight = np.ones_like(r) / line.radius if form == "plane" else 2 * r / line.radius**2
     mean = state.slip_velocity + float(np.sum(above * weight)) * inner / len(r)
     assert np.pi * line.radius**2 * mean == pytest.approx(FLOW, rel=1e-8)
+
+
+@pytest.mark.parametrize("layer_law", [{}, {"slip_flow_index": 0.8}, {"slip_quadratic_viscosity": 30.0}])
+@pytest.mark.parametrize("form", FORMS)
+def test_the_flow_that_the_search_uses_has_the_bits_of_the_steady_state(form, layer_law):
+    """Compare at the least stress, just above the yield stress, and far beyond both."""
+    random = np.random.default_rng(3)
+    for _ in range(100):
+        viscosity, yields, layer, slip_yield = (10.0 ** random.uniform((-1, 0, 1, 0), (3, 3, 6, 3))).tolist()
+        concrete = Concrete(density=2300.0, viscosity=viscosity, yield_stress=yields, slip_viscosity=layer,
+                            slip_yield=slip_yield, **layer_law)  # fmt: skip
+        for line in (Line(radius=0.07), Line(radius=0.07, slip_thickness=1e-3)):
+            flow_at, least = _flow_at(concrete, line, form), least_stress(concrete, line)
+            for stress in (least, yields, 1.00001 * yields, least + 1.0, 3.7 * least, 1e9):
+                assert flow_at(stress) == steady_of_stress(concrete, line, stress, form).flow
 
 
 def test_profile_is_level_in_the_plug_and_falls_to_the_slip_velocity():

@@ -215,21 +215,51 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     low = least_stress(concrete, line)
     if flow == 0:
         return steady_of_stress(concrete, line, low, form)
-    high = 2 * low + 1.0
-    while steady_of_stress(concrete, line, high, form).flow < flow:
+    flow_at, high = _flow_at(concrete, line, form), 2 * low + 1.0
+    while flow_at(high) < flow:
         high *= 2
         if high > 1e30:
             refuse("flow", flow, "needs a wall stress beyond the range of floating-point numbers", "use a smaller flow")
-    low, high = _narrowed(lambda stress: steady_of_stress(concrete, line, stress, form).flow - flow, low, high)
+    low, high = _narrowed(lambda stress: flow_at(stress) - flow, low, high)
     for _ in range(200):  # Bisect until no floating-point number lies between the bounds.
         middle = 0.5 * (low + high)
         if not low < middle < high:
             break
-        if steady_of_stress(concrete, line, middle, form).flow < flow:
+        if flow_at(middle) < flow:
             low = middle
         else:
             high = middle
     return steady_of_stress(concrete, line, high, form)
+
+
+def _flow_at(concrete: Concrete, line: Line, form: str) -> Callable[[float], float]:
+    """Return the function that gives the volume flow [m3/s] at a wall stress [Pa].
+
+    The returned function gives the flow of :func:`steady_of_stress`. If the bulk is a Bingham fluid, it computes the
+    formula of :func:`_bulk` with Python's numbers instead of arrays of NumPy. The operations have the same order, so
+    the result has the same bits, but it takes a fifth of the time.
+    """
+    layer = concrete.layer_law
+    if concrete.bulk_law.name != BINGHAM:
+        return lambda stress: steady_of_stress(concrete, line, stress, form).flow
+    one_of("form", form, FORMS)
+    radius, inner, yields = line.radius, line.radius - line.slip_thickness, concrete.yield_stress
+    slip_yield, slip_viscosity, area = concrete.slip_yield, concrete.slip_viscosity, np.pi * line.radius**2
+    plane, simple_layer = form == "plane", layer.name == BINGHAM
+    scale = (inner / radius if plane else (inner / radius) ** 2) * inner
+    divisor = (3 if plane else 4) * concrete.viscosity
+
+    def flow_at(stress: float) -> float:
+        slip = max(stress - slip_yield, 0.0) / slip_viscosity if simple_layer else float(layer.rate(stress))
+        own = stress * inner / radius
+        if own <= yields:
+            return area * slip
+        x = yields / own
+        sheared = scale * own / divisor * (1 - x) ** 2
+        sheared = sheared * (1 + 0.5 * x) if plane else sheared * (3 + 2 * x + x * x) / 3
+        return area * (slip + sheared)
+
+    return flow_at
 
 
 def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
