@@ -279,7 +279,7 @@ def test_the_width_of_bands_agrees_with_the_scatter_of_the_cases():
     For bands that hold nine of ten values of a normal distribution, the root mean square of this ratio is 1 / 1.645.
     The numbers are those of the page on measurements.
     """
-    found = validate(kinds=[kind for kind in UNITS if kind != "blocking"], quick=True).comparisons
+    found = validate(kinds=["pipe", "slump"], quick=True).comparisons
 
     def scores(each):
         values = [each.measured] if each.case.ends is None else np.geomspace(*each.case.ends, each.case.concretes)

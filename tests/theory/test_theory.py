@@ -235,7 +235,7 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     assert "line 3: has 1 values where the header names 2 columns" in refused("flow [m3/h],pressure [bar]\n1,2\n2\n")
     assert "must be two or more different flows" in refused("flow [m3/h],pressure [bar]\n1,2\n")
     assert "line 2: flow = '1 m3/hx': must be a number" in refused("flow [m3/hx],pressure [bar]\n1,2\n2,3\n")
-    assert "line 3: flow = 0.0: must be a finite number above 0 m3/s; leave out points without flow" in refused(
+    assert "line 3: flow = '0 m3/h': must be a finite number above 0 m3/s; leave out points without flow" in refused(
         "flow [m3/h],pressure [bar]\n20,2\n0,0\n"
     )
     assert "line 4: pressure = 'x bar': must be a number" in refused("flow [m3/h],pressure [bar]\n\n1,2\n2,x\n")

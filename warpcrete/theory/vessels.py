@@ -10,6 +10,7 @@ stress (Tresca). A Bingham fluid in three dimensions yields where the second inv
 which means that the vertical pressure divided by the square root of 3 reaches the yield stress.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 
@@ -198,6 +199,7 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
     return 0.5 * (low + high)
 
 
+@functools.lru_cache(maxsize=4096)
 def duct_constants(aspect: float) -> tuple[float, float]:
     """Return the constants a and b of a rectangular duct in the formula of Kozicki, Chou & Tiu (1966).
 
