@@ -69,7 +69,7 @@ def test_no_plateau_before_the_piston_moves_steadily_or_while_the_pressure_chang
     found = results(known_of(way, 10e3 * (1 + slope * way / travel)))
     assert ("plateau_pressure" in found) == plateau and "end_pressure" in found
     scene = dataclasses.replace(PIPE, pipe=dataclasses.replace(PIPE.pipe, travel=travel))
-    run = SimpleNamespace(scene=scene, result=found, series={"travel": way}, packing=None, finished=True)
+    run = SimpleNamespace(scene=scene, result=found, series={"travel": way}, packing=None, finished=True, wear=None)
     lines = dict(element_report(run))
     assert bool(no_plateau(run)) != plateau and ("plateau pressure" in lines) != plateau
     if travel < 0.375:
