@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from .core.errors import refuse
 from .core.run.method import Method
 from .core.run.run import Run
 from .core.run.run_loop import Simulation
+from .core.run.simulation_base import refuse_scene
 from .dem.method import METHOD as DISCRETE_ELEMENTS
 from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES
@@ -34,4 +34,4 @@ def method_of(scene: Any) -> Method:
     for method in METHODS:
         if isinstance(scene, method.scene_type):
             return method
-    refuse("scene", type(scene).__name__, f"must be a {' or a '.join(m.scene_type.__name__ for m in METHODS)}")
+    refuse_scene(scene, [method.scene_type for method in METHODS])

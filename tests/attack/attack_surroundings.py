@@ -16,7 +16,8 @@ from pathlib import Path
 
 RUN = "run slump --spacing 0.025 --duration 0.05 --device cpu --quiet --no-rerun --no-usd"
 FILES = {"scene.json", "result.json", "series.csv"}
-DONE, REFUSED = (0, 3), (2,)
+DONE, REFUSED = (3,), (2,)
+"""Exit codes: the small run ends before the concrete is at rest, so one of its checks fails."""
 LONGEST = 300
 """Time that a case may take [s]; the first one may compile kernels."""
 BOUND = "setpriv --inh-caps -dac_override,-dac_read_search --bounding-set -dac_override,-dac_read_search"

@@ -70,6 +70,62 @@ def test_settings_of_the_wrong_kind_do_not_count_as_true():
     )
 
 
+@pytest.mark.parametrize(
+    ("text", "unit", "hint"),
+    [("DN125", "m", "write the inner diameter, as in '125 mm'"), ("30 m3", "m3/s", "did you mean 'm3/h'?"),
+     ("30 cbm/h", "m3/s", "did you mean 'm3/h'?"), ("5 l/sec", "m3/s", "did you mean 'l/s'?"),
+     ("50 N/m2", "Pa", "did you mean 'Pa'?"), ("2.4 g/cm³", "kg/m3", "did you mean 'g/cm3'?"),
+     ("2300 kg", "kg/m3", "did you mean 'kg/m3'?"), ("30 Pa", "Pa s", "did you mean 'Pa s'?"),
+     ("30 Pa*s", "Pa s", "did you mean 'Pa s'?"), ("90 grad", "degrees", "did you mean 'degrees'?"),
+     ("100 Millimeter", "m", "did you mean 'mm'?"), ("10 minutes", "s", "did you mean 'min'?")],
+)  # fmt: skip
+def test_a_wrong_unit_leads_to_the_unit_that_is_meant(text, unit, hint):
+    assert hint in refused(lambda: amount("x", text, unit))
+
+
+def test_a_scene_function_that_is_not_called():
+    for make in (warpcrete.Simulation, warpcrete.explain):
+        assert refused(lambda make=make: make(scenes.pipe)).endswith("as in warpcrete.scenes.pipe()")
+        assert "call this function" in refused(lambda make=make: make(scenes.tube))
+        assert refused(lambda make=make: make("slump")).endswith("as in warpcrete.scenes.slump()")
+
+
+def test_several_values_of_a_parameter_lead_to_a_study():
+    said = refused(lambda: scenes.slump(yield_stress=[50, 60]))
+    assert said.endswith("a study simulates several values: warpcrete.study(..., vary={'yield_stress': [...]})")
+
+
+def test_misspelt_settings_of_studies():
+    said = refused(lambda: warpcrete.trade(scenes.tube, knob="spacing"))
+    assert said == "parameter = 'knob': is neither a setting nor a parameter of scene tube; did you mean 'knobs'?"
+    said = refused(lambda: warpcrete.study(scenes.tube, vary={"flow": [1e-3]}, frame=5))
+    assert said.endswith("did you mean 'frames'?")
+    assert refused(lambda: warpcrete.study(scenes.tube, vary={"flow": [1e-3]}, frames="5 m")).startswith(
+        "frames = '5 m'"
+    )
+    assert refused(lambda: warpcrete.trade(scenes.tube, budget="5 m")).startswith(
+        "budget = '5 m': must be a number with"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [(("study", "tube", "--flow", "1e-3:2e-3:5"), "is a range; write every value, separated by spaces"),
+     (("study", "tube", "--flow", "1e-3..2e-3"), "is a range; write every value"),
+     (("study", "tube", "--flow", "1e-3", "2e-3", "--checkpoint-every", "1 bar"), "checkpoint_every = '1 bar': must"),
+     (("run", "tube", "--flow", "5", "m3/h"), "put a value that contains a space in quotes, as in --flow '5 m3/h'"),
+     (("run", "site.yaml"), "use the file of a line as 'warpcrete line FILE'"),
+     (("trade", "tube", "--knobs", "spacing"), "did you mean --knob?"),
+     (("calibrate", "t.yaml", "--trails", "5"), "did you mean '--trials'?"),
+     (("theory", "--rise", "45"), "write a height with its unit, as in '45 m'"),
+     (("mix", "nowhere.yaml"), "cannot be read (No such file or directory)"),
+     (("run", "nowhere/scene.json"), "error: 'nowhere/scene.json': cannot be read (No such file or directory)")],
+)  # fmt: skip
+def test_hints_of_commands(words, hint):
+    done = command(*words)
+    assert done.returncode == 2 and hint in done.stderr
+
+
 @pytest.mark.parametrize("value", [0, -3, -(10**23), 10**23, 10**400])
 def test_whole_numbers_are_refused_with_the_range_of_the_parameter(value):
     assert refused(lambda: scenes.pipe(strokes=value)).endswith(": must be in [1, 1000]")

@@ -6,6 +6,7 @@ from warpcrete import SceneError, scenes
 from warpcrete.core.inputs.concretes import concrete
 from warpcrete.geometry.lines import read_line
 from warpcrete.mix.mix import flow_amounts, read_mix
+from warpcrete.mix.points import read_points
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.targets import read_task
 from warpcrete.studies.validation.cases import read_cases
@@ -73,6 +74,26 @@ def test_entries_of_a_mix(tmp_path, text, expected):
     assert said.startswith(expected) or ("a.yaml" in said and expected.startswith("a.yaml: concrete"))
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("base: no11\n", "a.yaml, line 1: concrete base = 'no11': must be one of"),
+        ("name: a\nmix: no1\n", "a.yaml, line 2: mix = 'no1': must consist of 'key: value' lines; write 'base: no1'"),
+        ("base: no1\nflow:\n  viscosity: -3 Pa s\n", "a.yaml, line 3: concrete flow viscosity = '-3 Pa s': must be a"),
+        ("base: no1\nflow:\n  yield: 3 Pa\n", "a.yaml, line 3: concrete flow = 'yield': is an unknown parameter"),
+        (MIX + "  sizes: 4-16 mm\n", "a.yaml, line 4: mix sizes = '4-16 mm': is a range; write [4 mm, 16 mm]"),
+    ],
+)  # fmt: skip
+def test_entries_of_a_concrete(tmp_path, text, expected):
+    assert refused(lambda path: scenes.tube(concrete=str(path)), tmp_path / "a.yaml", text).startswith(expected)
+
+
+def test_points_may_repeat_their_unit(tmp_path):
+    (tmp_path / "a.csv").write_text("flow [m3/h],pressure [bar]\n30 m3/h,20 bar\n40,2.5 MPa\n", encoding="utf-8")
+    flows, pressures = read_points(tmp_path / "a.csv")
+    assert flows == pytest.approx([30 / 3600, 40 / 3600]) and pressures == pytest.approx([2e6, 2.5e6])
+
+
 def test_constants_of_a_flow(tmp_path):
     def read(path):
         return flow_amounts(concrete(str(path)))
@@ -95,6 +116,10 @@ def test_entries_of_targets(tmp_path):
     assert refused(read, tmp_path / "a.yaml", "vary: 5\n").startswith("a.yaml, line 1: vary = 5: must list one or")
     said = refused(read, tmp_path / "a.yaml", "vary: {yield_stress: [1, 2]}\ntargets: 5\n")
     assert said.startswith("a.yaml, line 2: targets = 5: must be a list")
+    said = refused(read, tmp_path / "a.yaml", TARGETS + "  uncertainty: 5%\n  yield_stress: 50\n")
+    assert said.startswith("a.yaml, line 8: target 1 = 'yield_stress': is not a key of a target; it is a parameter of")
+    said = refused(read, tmp_path / "a.yaml", TARGETS + "  uncertainty: 5 Pa\n")
+    assert said.startswith("a.yaml, line 7: target 1 uncertainty = '5 Pa': must be a number")
     assert refused(read, tmp_path / "a.yaml", "targets: []\n").startswith("a.yaml: vary = None: must list one or")
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from ..core.device.device import PRECISIONS
-from ..core.errors import RunFolderError
+from ..core.errors import RunFolderError, suggested
 from ..core.inputs.by_name import trust_option
 from ..core.run.files import next_folder
 from ..core.run.folder_kinds import wrong_folder
@@ -31,10 +31,9 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)
     if options:
-        raise click.UsageError(
-            f"--{next(iter(options))}: is not an option of 'warpcrete calibrate'; set the parameters of scenes in the "
-            "file of targets"
-        )
+        wrong = next(iter(options))
+        hint = suggested(wrong, ONE).replace("'", "'--", 1) or "set the parameters of scenes in the file of targets"
+        raise click.UsageError(f"--{wrong}: is not an option of 'warpcrete calibrate'; {hint}")
     if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
         raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
     with progress_bar(quiet) as settings["progress"]:

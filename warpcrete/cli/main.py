@@ -394,6 +394,8 @@ def main() -> None:
         text = " ".join(error.format_message().split())
         if isinstance(error, click.NoSuchOption):
             text = _unknown_option(error, text)
+        elif "unexpected extra argument" in text:
+            text += "; put a value that contains a space in quotes, as in --flow '5 m3/h'"
         _fail(text, 2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)

@@ -98,7 +98,10 @@ class LazyGroup(Commands):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
-            load("options").check_scene(args[0], scenes(), ", or the path of a scene.json")
+            more = ", or the path of a scene.json"
+            if args[0].endswith((".yaml", ".yml")):
+                more += "; use the file of a line as 'warpcrete line FILE', and of a concrete as --concrete FILE"
+            load("options").check_scene(args[0], scenes(), more)
         return super().resolve_command(ctx, args)
 
 

@@ -1,5 +1,6 @@
 """Command `warpcrete study`: runs a scene for all combinations of parameter values and prints a table."""
 
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -34,8 +35,8 @@ SETTINGS = {
     "device": str,
     "precision": str,
     "processes": int,
-    "frames": float,
-    "checkpoint-every": float,
+    "frames": str,
+    "checkpoint-every": str,
 }
 
 
@@ -270,6 +271,10 @@ def _value(option: str, word: str, field: Field) -> Any:
     try:
         return _converted_value(option, word, field)
     except (SceneError, click.UsageError) as error:
+        if field.kind in (int, float) and re.fullmatch(r"[-+.0-9eE]+(?::|\.\.)[-+.0-9eE:]+", word):
+            raise click.UsageError(
+                f"--{option} = {word!r}: is a range; write every value, separated by spaces"
+            ) from None
         if "thousands" in str(error) or not _is_list(option, word, field):
             raise
     values = " ".join(f"'{each}'" if " " in each else each for each in listed(word))

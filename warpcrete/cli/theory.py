@@ -55,7 +55,8 @@ def _rise(stated: str, length: float) -> float:
     field = declared_fields(Line)["rise"]
     if bare_number(stated) or is_amount(stated, "1"):
         value = field.converted(amount("rise", stated, "1"), "rise")
-        field.check(value, "rise")
+        hint = "it is the height gained per length of the pipe; write a height with its unit, as in '45 m'"
+        between("rise", value, -1.0, 1.0, "", hint)
         field.check_limits(value, "rise")
         return value
     if not is_amount(stated, "m"):

@@ -46,7 +46,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
             trade = _resumed(scene, settings, options | lists, modules, anew | {"progress": tell})
         else:
             check_scene(scene, modules)
-            values = parameter_values(modules[scene], options)
+            values = parameter_values(modules[scene], options, (*ONE, *SEVERAL))
             for name, given in values.items():
                 if len(given) > 1:
                     raise click.UsageError(

@@ -185,6 +185,8 @@ RENAMED = {
 twice the value of the former `radius`."""
 
 
+SHORTENED = {"yield": "yield_stress", "slip": "slip_viscosity", "stress": "yield_stress", "interval": "sample_interval"}
+"""Incomplete names of parameters, with the complete names."""
 RELATED = {
     "flow": ("velocity", "which is the flow divided by the area of the bore"),
     "velocity": ("flow", "which is the mean velocity times the area of the bore"),
@@ -208,6 +210,8 @@ def suggested(word: object, known: Iterable[object]) -> str:
     other, meaning = RELATED.get(typed, ("", ""))
     if other in folded and typed not in folded:
         return f"did you mean {folded[other]!r}, {meaning}?"
+    if SHORTENED.get(typed) in folded and typed not in folded:
+        return f"did you mean {folded[SHORTENED[typed]]!r}?"
     near = difflib.get_close_matches(RENAMED.get(typed, typed), folded, 1, 0.6)
     return f"did you mean {folded[near[0]]!r}?" if near else ""
 

@@ -90,6 +90,10 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
                 instead = PART_HINTS.get(key, f"write '- {key}: ...' below 'parts:'")
                 refuse("line's key", key, "is a part; parts belong into the list 'parts'", instead)
             one_of("line's key", key, KEYS)
+    with errors_located_at(given, "concrete"):
+        if isinstance(given.get("concrete"), Mapping | list):
+            problem = "must be the name of a concrete, or the path of its file"
+            refuse("concrete", given["concrete"], problem, "describe the concrete in a file of its own")
     entries = given.get("parts")
     with errors_located_at(given, "parts"):
         _check_list(entries)

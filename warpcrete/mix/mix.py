@@ -352,25 +352,29 @@ def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
 
 def _named(key: str, value: Any) -> Figure:
     """Return a constant that the section `flow` of a concrete's file states, as a property without uncertainty."""
-    value = amount(f"concrete flow {key}", value, UNITS[key])
-    if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
-        between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])
-    else:
-        positive(f"concrete flow {key}", value, UNITS[key])
+    value = _flow_amount(key, value)
     return Figure({**FLOW, **LAWS}[key], value, value, value, UNITS[key], "flow", "as given")
+
+
+def _flow_amount(key: str, value: Any) -> float:
+    """Return the entry `key` of the section `flow` of a concrete's file as a number in its SI unit, after checks."""
+    found = amount(f"concrete flow {key}", value, UNITS[key])
+    if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
+        between(f"concrete flow {key}", found, 0, math.inf, UNITS[key])
+    else:
+        positive(f"concrete flow {key}", found, UNITS[key])
+    return found
 
 
 def flow_amounts(found: NamedConcrete) -> dict[str, float]:
     """Return the flow constants and factors that a concrete states, as numbers in SI units.
 
-    Raises :class:`SceneError` for an unknown constant, and for a factor that is not above zero.
+    Raises :class:`SceneError` for an unknown constant, and for an impossible value.
     """
     flow = known_only("flow", found.flow, UNITS, found.name)
     for key, value in flow.items():
         with errors_located_at(found.flow, key):
-            flow[key] = amount(f"concrete flow {key}", value, UNITS[key])
-            if key in FACTORS:
-                positive(f"concrete flow {key}", flow[key])
+            flow[key] = _flow_amount(key, value)
     return flow
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..core.errors import positive, refuse
-from ..core.inputs.amounts import amount
+from ..core.inputs.amounts import amount, is_amount
 from ..core.inputs.limits import check_limit
 from ..core.inputs.text_files import read_columns
 
@@ -30,7 +30,8 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
         found.append([])
         for line, row in rows:
             each = f"{path.name}, line {line}: {name}"
-            value = amount(each, f"{row[place].strip()} {own}".strip(), unit)
+            cell = row[place].strip()
+            value = amount(each, cell if is_amount(cell, unit) else f"{cell} {own}".strip(), unit)
             positive(each, value, unit, "leave out points without flow")
             check_limit(each, value, unit, name)
             found[-1].append(value)

@@ -200,6 +200,8 @@ def read_sizes(given: Any) -> tuple[float, float]:
     if isinstance(given, str) and (found := sizes_by_number("mix sizes", given)) is not None:
         return found
     if isinstance(given, str | int | float) and not isinstance(given, bool):
+        if ends := re.fullmatch(r"([0-9.]+)\s*(?:-|\u2013|/|to)\s*([0-9.]+)\s*mm", str(given).strip()):
+            refuse("mix sizes", given, "is a range", f"write [{ends[1]} mm, {ends[2]} mm]")
         largest = amount("mix sizes", given, "m")
         hint = "write millimetres as in '20 mm'"
         if bare_number(given) and f"#{largest:g}" in SIZE_NUMBERS:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import SceneError, flag, refuse, suggested
+from ..core.inputs.parameters import declared_fields
 from ..core.run.files import output_folder
 from ..core.run.progress import progress_bar, stderr_is_terminal
 from .study import Progress, run_study
@@ -59,11 +60,21 @@ def study(
     if quiet is not None:
         flag("quiet", quiet)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
+    check_settings(scene, given, SETTINGS)
     folder = output_folder(out, "study")
     if "progress" in settings:
         return run_study(name, module, vary, base=given, out=folder, **settings)
     with study_progress(not stderr_is_terminal() if quiet is None else quiet) as tell:
         return run_study(name, module, vary, base=given, out=folder, progress=tell, **settings)
+
+
+def check_settings(scene: Any, given: Iterable[str], settings: Sequence[str]) -> None:
+    """Refuse a name in `given` that is no parameter of the scene and resembles one of the names in `settings`."""
+    known = declared_fields(scene.parameters)
+    for name in given:
+        meant = suggested(name, (*settings, *known)) if name not in known else ""
+        if any(repr(setting) in meant for setting in settings):
+            refuse("parameter", name, f"is neither a setting nor a parameter of scene {scene.name}", meant)
 
 
 @contextmanager

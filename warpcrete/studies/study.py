@@ -23,7 +23,7 @@ from ..core.errors import (
     quoted,
     refuse,
 )
-from ..core.inputs.amounts import written_unit
+from ..core.inputs.amounts import amount, written_unit
 from ..core.inputs.by_name import names_from_file
 from ..core.inputs.limits import check_limit
 from ..core.inputs.origin import check_files, check_named
@@ -56,8 +56,8 @@ def run_study(
     device: str | None = None,
     precision: str = "float32",
     processes: int | None = None,
-    frames: float | None = None,
-    checkpoint_every: float = 60.0,
+    frames: float | str | None = None,
+    checkpoint_every: float | str = 60.0,
     scheduler: str | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
@@ -119,8 +119,8 @@ def run_listed(
     device: str | None = None,
     precision: str = "float32",
     processes: int | None = None,
-    frames: float | None = None,
-    checkpoint_every: float = 60.0,
+    frames: float | str | None = None,
+    checkpoint_every: float | str = 60.0,
     scheduler: str | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
@@ -134,6 +134,10 @@ def run_listed(
     measurements during a run.
     """
     cases = list(cases)
+    if isinstance(checkpoint_every, str):
+        checkpoint_every = amount("checkpoint_every", checkpoint_every, "s")
+    if isinstance(frames, str):
+        frames = amount("frames", frames, "1/s")
     if frames is not None:
         positive("frames", frames, "1/s")
         check_limit("frames", frames, "1/s")

@@ -296,5 +296,38 @@ def _advice(text: str, unit: str) -> str:
     if re.match(r"[-+]?[0-9]+(?:[\s-]+[0-9]+)?/[0-9]", text):
         return ("write fractions of inches or feet as '4 1/2 in', in halves to sixty-fourths" if unit == "m"
                 else "write a decimal number instead of a fraction")  # fmt: skip
+    if unit == "m" and (bore := re.fullmatch(r"DN\s*([0-9]{2,4})", text, re.IGNORECASE)):
+        return f"write the inner diameter, as in '{bore[1]} mm'"
     found = re.fullmatch(rf"[-+]?(?:{COMMA}|{DECIMAL})\s*(.*)", text)
-    return suggested(found[1], accepted_units(unit)) if found and found[1] else ""
+    return _suggested_unit(found[1], unit) if found and found[1] else ""
+
+
+WORDS_OF_UNITS = {
+    "m3/s": dict.fromkeys(("m3", "m³", "cbm", "cbm/h", "m^3/h", "m3/hour", "m3h", "m³h"), "m3/h"),
+    "m": {"millimeter": "mm", "millimetre": "mm", "centimeter": "cm", "centimetre": "cm", "meter": "m", "metre": "m"},
+    "s": {"minute": "min", "minutes": "min", "mins": "min", "sec": "s", "second": "s", "seconds": "s", "hour": "h",
+          "hours": "h"},
+    "degrees": dict.fromkeys(("grad", "degree", "grade"), "degrees"),
+    "Pa": {"N/m2": "Pa", "N/m²": "Pa", "bars": "bar"},
+    "kg/m3": {"g/cm³": "g/cm3"},
+}  # fmt: skip
+"""Words that users write instead of a unit, by internal unit, each with the unit that is meant."""
+
+
+def _suggested_unit(written: str, unit: str) -> str:
+    """Return the question "did you mean ...?" with the accepted unit that is most similar to `written`, or nothing.
+
+    `unit` is the internal unit. A synonym such as "Pas" is suggested in its usual spelling.
+    """
+    words = WORDS_OF_UNITS.get(unit, {})
+    if (meant := words.get(written) or words.get(written.lower())) is not None:
+        return f"did you mean {meant!r}?"
+    if unit.startswith(written):
+        return f"did you mean {unit!r}?"
+    near = re.search(r"'(.*)'", suggested(written, accepted_units(unit)))
+    if near is None:
+        return ""
+    if near[1] in written:
+        return f"did you mean {near[1]!r}?"
+    factor = accepted_units(unit)[near[1]]
+    return f"did you mean {next(name for name in unit_names(unit) if accepted_units(unit)[name] == factor)!r}?"

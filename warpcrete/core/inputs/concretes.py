@@ -147,13 +147,18 @@ def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
                 refuse(f"concrete {section}", found, problem, "indent these lines below the name of the section")
         sections[section] = found
     factor_source = _factor_source(given, sections["flow"], name_of(path))
+    if "mix" in given and not is_dict(given["mix"]):
+        with errors_located_at(given, "mix"):
+            hint = f"write 'base: {given['mix']}'" if given["mix"] in shipped() else "indent them below 'mix:'"
+            refuse("mix", given["mix"], "must consist of 'key: value' lines", hint)
     mix = (
         MixSection(given["mix"], path.parent, elements=sections["elements"], flow=sections["flow"])
         if "mix" in given
         else None
     )
     if "base" in texts:
-        base = _base(texts.pop("base"), path, depth)
+        with errors_located_at(given, "base"):
+            base = _base(texts.pop("base"), path, depth)
         # Values in a concrete's file take precedence over values that follow from the mix of the base concrete.
         if mix is None and base.mix is not None:
             both = {section: _merged(getattr(base.mix, section), sections[section]) for section in SECTIONS}

@@ -137,7 +137,7 @@ def saved_text(path: Path) -> str:
     try:
         return _text(path, MAXIMUM_TEXT_SIZE)
     except Unreadable as error:
-        raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
+        raise RunFolderError(f"'{path}': {error.reason}") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         found = parsed_json(_text(path, MAXIMUM_TEXT_SIZE))
     except Unreadable as error:
-        raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
+        raise RunFolderError(f"'{path}': {error.reason}") from error
     if not is_dict(found):
         raise RunFolderError(f"'{path}': does not contain a JSON object; restore the file")
     return found

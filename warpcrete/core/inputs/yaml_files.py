@@ -106,6 +106,8 @@ def parsed_yaml(text: str, path: Path) -> object:
         reason = " ".join(f"is not valid YAML: {error.problem or error.context or 'it cannot be read'}".split())
         line = None if mark is None else mark.line + 1
         lines = "write spaces instead of tabs" if "'\\t'" in reason else "write 'key: value' lines"
+        if reason.endswith("found '-'"):
+            lines = "indent all dashes of a list equally"
         quotes = ", and put quotes around a value with #, which otherwise starts a comment" if "#" in text else ""
         raise Unreadable(reason, f"{lines}{quotes}", line) from error
     except Exception as error:  # Parts of the YAML parser may raise any exception.

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Sequence
+from typing import Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
 
 from ..device.simulation_protocol import SimulationOnDevice
 from ..drawing.display import Display
 from ..errors import refuse
+from ..inputs.scene_functions import SceneFunction
 from .coroutines import Coroutine, Until
 from .ending import Ending
 from .frames import Frames
 from .run import Run
 
 S = TypeVar("S", bound="SimulationBase")
+
+
+def refuse_scene(scene: object, known: Sequence[type], hint: str = "") -> NoReturn:
+    """Raise :class:`SceneError` about an object that is not a scene of one of the types `known`."""
+    problem = f"must be a {' or a '.join(each.__name__ for each in known)}"
+    example = "create one with a function of warpcrete.scenes, such as warpcrete.scenes.pipe()"
+    if isinstance(scene, SceneFunction):
+        example = f"call this function, as in warpcrete.scenes.{scene.__name__}()"
+    elif isinstance(scene, str) and scene.isidentifier():
+        example = f"call a function of warpcrete.scenes, as in warpcrete.scenes.{scene}()"
+    refuse("scene", type(scene).__name__, problem, hint or example)
 
 
 class SimulationBase(SimulationOnDevice):
@@ -61,12 +74,7 @@ class SimulationBase(SimulationOnDevice):
         wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):
             known = [wanted] if wanted else [kind.scene_type for kind in kinds]
-            hint = (
-                "use warpcrete.Simulation, which accepts every scene"
-                if wanted
-                else "create one with a function of warpcrete.scenes, such as warpcrete.scenes.pipe()"
-            )
-            refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
+            refuse_scene(scene, known, "use warpcrete.Simulation, which accepts every scene" if wanted else "")
         return super().__new__(kind)
 
     @abstractmethod

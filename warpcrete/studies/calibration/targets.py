@@ -214,14 +214,21 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     for key in given:
         if key not in TARGET_KEYS:
             with errors_located_at(given, key):
-                refuse(called, key, "is not a key of a target", known_names(key, TARGET_KEYS))
+                hint = known_names(key, TARGET_KEYS)
+                if given.get("scene") in list(modules) and key in _known(modules, given["scene"]):
+                    hint = f"it is a parameter of the scene: write 'parameters: {{{key}: {given[key]}}}'"
+                refuse(called, key, "is not a key of a target", hint)
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
         refuse(called, dict(given), f"has no {', '.join(missing)}", "add the missing entries")
     if not isinstance(given["scene"], str) or given["scene"] not in modules:
         problem = f"must be one of {', '.join(modules)}"
         refuse(f"{called} scene", given["scene"], problem, suggested(given["scene"], modules))
-    value = _in_unit(f"{called} value", given["value"], str(given["quantity"]))
+    if isinstance(given["value"], str):
+        with errors_located_at(given, "quantity"):
+            _unit_of(str(given["quantity"]))
+    with errors_located_at(given, "value"):
+        value = _in_unit(f"{called} value", given["value"], str(given["quantity"]))
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         problem = "must be a finite number, in SI units or with its unit"
         refuse(f"{called} value", value, problem, "for example 0.55 or '550 mm'")
@@ -230,6 +237,9 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
         refuse(
             f"{called} parameters", parameters, "must consist of 'name: value' pairs", "for example {yield_stress: 50}"
         )
+    for name, stated in parameters.items():
+        with errors_located_at(parameters, name):
+            modules[given["scene"]].scene.resolved({name: stated})
     parameters = modules[given["scene"]].scene.resolved(parameters)
     for name, field in _known(modules, given["scene"]).items():
         files = [rule for rule in field.of_kind(FileIf) if isinstance(parameters.get(name), str)]
@@ -242,7 +252,8 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     held = given.get("held_out", False)
     if not isinstance(held, bool):
         refuse(f"{called} held_out", held, "must be true or false")
-    uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value), str(given["quantity"]))
+    with errors_located_at(given, "uncertainty"):
+        uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value), str(given["quantity"]))
     return Target(given["scene"], str(given["quantity"]), float(value), uncertainty, parameters, held, "")
 
 
@@ -251,12 +262,17 @@ def _in_unit(called: str, given: Any, quantity: str) -> Any:
 
     `called` names the value in error messages.
     """
-    units = {each.name: each.unit for method in METHODS for each in method.quantities}
-    if isinstance(given, str) and quantity not in units:
-        refuse("quantity", quantity, "is not a result of any scene", known_names(quantity, units))
-    if isinstance(given, str) and units[quantity] in UNITS:
-        return amount(called, given, units[quantity])
+    if isinstance(given, str) and (unit := _unit_of(quantity)) in UNITS:
+        return amount(called, given, unit)
     return given
+
+
+def _unit_of(quantity: str) -> str:
+    """Return the unit of a quantity of results; raise :class:`SceneError` if no scene has such a result."""
+    units = {each.name: each.unit for method in METHODS for each in method.quantities}
+    if quantity not in units:
+        refuse("quantity", quantity, "is not a result of any scene", known_names(quantity, units))
+    return units[quantity]
 
 
 def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.errors import at_least_and_below, positive, refuse
-from ...core.inputs.amounts import amount
+from ...core.inputs.amounts import amount, is_amount
 from ...core.inputs.limits import check_limit, check_velocity
 from ...core.inputs.text_files import read_columns, read_rows
 from ...geometry.pipe_line import Part, PipeLine
@@ -61,7 +61,8 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
             field = f"{path.name}, line {row}: {name}"
             if not (cell := cells[place].strip()):
                 refuse(field, "", "is empty", "write a number, or leave out the row")
-            values[name] = amount(field, f"{cell} {unit}".strip(), COLUMNS[name])
+            with_unit = cell if is_amount(cell, COLUMNS[name]) else f"{cell} {unit}".strip()
+            values[name] = amount(field, with_unit, COLUMNS[name])
             if name in ("pressure", "flow"):
                 positive(field, values[name], COLUMNS[name], "leave out rows without pressure")
                 check_limit(field, values[name], COLUMNS[name], name)

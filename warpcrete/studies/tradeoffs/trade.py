@@ -21,6 +21,7 @@ from typing import Any
 
 from ...core.device.device import default_threads, find_device
 from ...core.errors import RunFolderError, at_least, between, callback, positive, refuse, suggested, whole
+from ...core.inputs.amounts import amount
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.hyphens import spelled
 from ...core.inputs.limits import check_limit
@@ -29,7 +30,7 @@ from ...core.run.files import check_new, output_folder, read_json, read_record, 
 from ...core.run.folders import locked_folder, new_folder
 from ...core.run.provenance import provenance, versions
 from ...methods import Simulation, method_of
-from ..api import module_of
+from ..api import check_settings, module_of
 from ..cases import MAX_CASES, is_random
 from ..cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
@@ -56,6 +57,7 @@ def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     """
     name, module = module_of(scene)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
+    check_settings(scene, given, SETTINGS)
     return run_trade(name, module, base=given, out=output_folder(out, "trade"), **settings)
 
 
@@ -65,7 +67,7 @@ def run_trade(
     *,
     base: Mapping[str, Any] | None = None,
     out: Path,
-    budget: float = 1200.0,
+    budget: float | str = 1200.0,
     quantities: Sequence[str] | None = None,
     knobs: Sequence[str] | None = None,
     repeat: int | None = None,
@@ -121,6 +123,7 @@ def run_trade(
         refuse("repeat", repeat, "must be 1, because nothing in this scene is random", "leave out 'repeat'")
     if repeat is not None and repeat < (2 if seeded else 1):
         refuse("repeat", repeat, "must be at least 2, to measure the scatter between seeds" if seeded else "must be 1")
+    budget = amount("budget", budget, "s") if isinstance(budget, str) else budget
     positive("budget", budget, "s")
     check_limit("budget", budget, "s")
     threads = 1 if threads is None and scheduler else threads
@@ -179,7 +182,7 @@ def resume_trade(
     folder: Path,
     module: Any,
     *,
-    budget: float = 1200.0,
+    budget: float | str = 1200.0,
     scheduler: str | None = None,
     workers: int | None = None,
     progress: Tell | None = None,
