@@ -228,7 +228,7 @@ def test_errors_in_a_mix_and_in_targets_name_file_and_line(tmp_path):
         read_mix(written(tmp_path, mix))
     targets = "vary: {viscosity: [10, 100]}\ntargets:\n  - scene: slump\n    quantity: sprad\n    value: 550 mm\n"
     with pytest.raises(
-        SceneError, match=r"line 3: quantity = 'sprad': is not a result of any scene; did you mean 'spread'\?"
+        SceneError, match=r"line 4: quantity = 'sprad': is not a result of any scene; did you mean 'spread'\?"
     ):
         read_task(written(tmp_path, targets + "    uncertainty: 5%\n"), modules())
     found, _ = read_task(written(tmp_path, targets.replace("sprad", "spread") + "    uncertainty: 2 cm\n"), modules())

@@ -327,7 +327,7 @@ def _suggested_unit(written: str, unit: str) -> str:
     near = re.search(r"'(.*)'", suggested(written, accepted_units(unit)))
     if near is None:
         return ""
-    if near[1] in written:
+    if near[1][:3] == written[:3]:
         return f"did you mean {near[1]!r}?"
     factor = accepted_units(unit)[near[1]]
     return f"did you mean {next(name for name in unit_names(unit) if accepted_units(unit)[name] == factor)!r}?"

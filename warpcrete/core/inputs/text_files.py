@@ -137,7 +137,7 @@ def saved_text(path: Path) -> str:
     try:
         return _text(path, MAXIMUM_TEXT_SIZE)
     except Unreadable as error:
-        raise RunFolderError(f"'{path}': {error.reason}") from error
+        raise _unreadable(path, error) from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -145,10 +145,16 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         found = parsed_json(_text(path, MAXIMUM_TEXT_SIZE))
     except Unreadable as error:
-        raise RunFolderError(f"'{path}': {error.reason}") from error
+        raise _unreadable(path, error) from error
     if not is_dict(found):
         raise RunFolderError(f"'{path}': does not contain a JSON object; restore the file")
     return found
+
+
+def _unreadable(path: Path, error: Unreadable) -> RunFolderError:
+    """Return the error to raise for a file of the program that cannot be read."""
+    reason = error.reason if error.reason.startswith("cannot be read") else f"cannot be read ({error.reason})"
+    return RunFolderError(f"'{path}': {reason}")
 
 
 def _checked(path: Path, most: int) -> int:
