@@ -23,6 +23,7 @@ from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.studies.tradeoffs.explain import _measured_savings, _time_step_savings, explain
 
 SMALL = dict(diameter=0.1, size_min=12e-3, size_max=20e-3, length=0.5, ramp=0.02, travel=0.05, plug_ball=15e-3)
+SHORT = SMALL | dict(length=0.1, solid_fraction=0.55)
 
 
 @pytest.fixture(autouse=True)
@@ -138,7 +139,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
 
 def test_features_are_those_that_are_compiled_in(device):
     def used(**changes) -> set[str]:
-        scene = scenes.pipe(concrete="zhan-table1", **SMALL | dict(length=0.1) | changes)
+        scene = scenes.pipe(concrete="zhan-table1", **SHORT | changes)
         if not changes.get("bonds", True):  # of the plug, too
             scene = replace(scene, bodies=(), drives=(), group_bonds={})
         features = explain(scene, device=device, cache=False)
@@ -186,7 +187,7 @@ def test_savings_by_a_trade(tmp_path):
               point("stiffness 1 Pa", "stiffness", 0.1, 0.1, ("no aggregate swallowed",))]  # fmt: skip
     record = {"scene": "pipe", "machine": "some machine", "points": points}
     (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
-    told = explain(scenes.pipe(**SMALL | dict(length=0.2)), device="cpu", trade=tmp_path)
+    told = explain(scenes.pipe(**SHORT), device="cpu", trade=tmp_path)
     assert [(s.what, s.ratio, s.error) for s in told.savings if s.error != "error not measured"] == [
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
@@ -226,19 +227,19 @@ def test_a_wrong_trade_is_refused_before_the_measurements(tmp_path, monkeypatch)
         (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
         with pytest.raises(kind, match=words):
             explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path, cache=False)
-    with pytest.raises(RunFolderError, match="is not a folder made by 'warpcrete trade'"):
+    with pytest.raises(RunFolderError, match="does not exist; check the path"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none", cache=False)
 
 
 def test_a_step_that_was_given_is_not_made_longer_by_softer_bonds(device):
-    changes = SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2, time_step=1e-6)
+    changes = SHORT | dict(hydration=0.1, hydration_modulus=1e8, time_step=1e-6)
     told = explain(scenes.pipe(**changes), device=device, threads=1, cache=False)
     assert not [saving for saving in told.savings if "bonds" in saving.what]
     assert told.forecast.governing == "the given time_step = 1e-06 s"
 
 
 def test_the_largest_step_allowed_bounds_soft_scenes(device):
-    scene = scenes.pipe(**SMALL | dict(length=0.2))
+    scene = scenes.pipe(**SHORT)
     told = explain(replace(scene, time_step=replace(scene.time_step, largest=1e-5)), device=device, cache=False)
     assert told.forecast.governing.startswith("the largest allowed time step")
     assert told.forecast.time_step == told.forecast.limits["all together"] == 1e-5

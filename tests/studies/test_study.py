@@ -25,7 +25,7 @@ from warpcrete.studies.cases import Case, is_random
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
-BASE = SMALL | dict(travel=0.012, ramp=0.008, settle=0.0)
+BASE = SMALL | dict(length=0.1, travel=0.012, ramp=0.008, settle=0.0)
 
 
 def test_cases_are_all_combinations_or_one_parameter_at_a_time():
@@ -236,7 +236,19 @@ def test_the_study_command(tmp_path):
     out = tmp_path / "study"
     options = [w for name, value in BASE.items() for w in (f"--{name.replace('_', '-')}", str(value))]
     done = command(
-        "study", "pipe", "--velocity", "0.3", "0.6", *options, "--device", "cpu", "--out", str(out), "--quiet"
+        "study",
+        "pipe",
+        "--velocity",
+        "0.3",
+        "0.6",
+        *options,
+        "--processes",
+        "1",
+        "--device",
+        "cpu",
+        "--out",
+        str(out),
+        "--quiet",
     )
     assert done.returncode == 0, done.stderr
     assert "| velocity [m/s] | peak [kPa] | runs | failed | suspect |" in done.stdout
