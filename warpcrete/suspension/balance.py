@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernels.mps.grid.cells import DT, FIXED, GHOST, LIQUID, VELOCITY_CORRECTION
+from ..kernels.mps.grid.cells import FIXED, FORCE, GHOST, LAST, LAST_FORCE, LIQUID, VELOCITY_CORRECTION
 from ..kernels.suspension.pairs import CAPACITY, WALL
 from .flow import SuspensionFlow
 
@@ -47,9 +47,14 @@ class Balance:
     """Total momentum of mortar and aggregates at the end of the step [kg m/s]."""
     impulse: float
     """Sum of the forces of walls, weight and other external forces along the last axis of the grid. It equals
-    `momentum`, unless a wall normal to this axis adds a pressure force that is not included."""
+    `momentum`. The force that keeps the mean velocity in a periodic pipe constant is an external force."""
     impulse_scale: float
     """Sum of the magnitudes of the forces whose sum is `impulse`."""
+
+    @property
+    def momentum_error(self) -> float:
+        """Difference of `momentum` and `impulse`, divided by the sum of the magnitudes of all forces."""
+        return (self.momentum - self.impulse) / max(self.impulse_scale, 1e-300)
 
     @property
     def supplied(self) -> float:
@@ -77,6 +82,21 @@ def step_with_balance(flow: SuspensionFlow) -> Balance:
     flow.take(1)
     found = _Step(flow, *before)
     return found.balance()
+
+
+def last_balance(flow: SuspensionFlow) -> Balance:
+    """Return the balance of the last time step, which must have been taken in this process."""
+    bodies, solution = flow.aggregates.bodies, flow.coupled.solution
+    velocity = bodies.velocity.numpy().astype(float) - solution.linear.numpy()
+    velocity[:, 2] -= _hastened(flow)
+    return _Step(flow, velocity, bodies.spin.numpy().astype(float) - solution.angular.numpy()).balance()
+
+
+def _hastened(flow: SuspensionFlow) -> float:
+    """Return the velocity [m/s] that was added to all concrete after the solve, to keep the mean velocity constant."""
+    layout = flow.state.layout
+    fixed = layout.kind.periodic and layout.mean_velocity_fixed
+    return float(flow.mesh.drive.numpy()[int(VELOCITY_CORRECTION)]) if fixed else 0.0
 
 
 def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -222,7 +242,7 @@ class _Step:
 
     def __init__(self, flow: SuspensionFlow, velocity: np.ndarray, spin: np.ndarray) -> None:
         self.flow, self.grid, self.before = flow, _Grid(flow), (velocity, spin)
-        self.dt = float(flow.mesh.clock.numpy()[int(DT)])
+        self.dt = float(flow.mesh.clock.numpy()[int(LAST)])
         bodies = flow.aggregates.bodies
         self.after = bodies.velocity.numpy().astype(float), bodies.spin.numpy().astype(float)
         self.u, self.start, self.kind = (self.grid.faces(name) for name in ("velocity", "start", "kind"))
@@ -234,22 +254,41 @@ class _Step:
         bodies, (velocity, spin) = self.flow.aggregates.bodies, self.after
         force, torque = bodies.force.numpy().astype(float), bodies.torque.numpy().astype(float)
         gravity = np.array(self.flow.g.gravity)
-        weight = self.mass * gravity.reshape(3, 1, 1, 1)
+        # Faces inside walls have mass, but no weight.
+        weight = np.where(self.kind == int(LIQUID), self.mass, 0.0) * gravity.reshape(3, 1, 1, 1)
         friction, speed, stiffness = wall_friction(self.flow)
         rubs = stiffness > 0
         lubrication, contacts, by_walls, pushed = self._pairs()
         kinetic, damping, momentum, held = self._inertia()
-        viscous, yielding = self._dissipation()
+        viscous, yielding, held_back = self._dissipation()
         on_walls = friction[2][rubs[2]]
+        pressures, drive = self._pressures() + held_back, self._drive()
         return Balance(
             walls=by_walls - float(np.sum(friction * speed)),
             weight=float(np.sum(force * velocity) + np.sum(torque * spin) + np.sum(weight * self.u)),
             viscous=viscous, yielding=yielding,
             film=float(np.sum(friction[rubs] ** 2 / stiffness[rubs])), lubrication=lubrication, contacts=contacts,
             kinetic=kinetic, damping=damping, momentum=momentum, held=held,
-            impulse=float(pushed + force[:, 2].sum() + weight[2].sum() - on_walls.sum()),
-            impulse_scale=float(np.abs(force[:, 2]).sum() + np.abs(weight[2]).sum() + np.abs(on_walls).sum()),
+            impulse=float(pushed + force[:, 2].sum() + weight[2].sum() - on_walls.sum()) + pressures + drive,
+            impulse_scale=float(np.abs(force[:, 2]).sum() + np.abs(weight[2]).sum() + np.abs(on_walls).sum())
+            + abs(pressures) + abs(drive),
         )  # fmt: skip
+
+    def _pressures(self) -> float:
+        """Return the component along the last axis of the pressure forces of walls [N].
+
+        It is the sum of all pressure forces on mortar and aggregates, in which pressures within the concrete cancel.
+        """
+        coupled = self.flow.coupled
+        coupled.pressure_forces()
+        return float(self.grid.array(coupled.force, 3)[2][self.kind[2] == int(LIQUID)].sum())
+
+    def _drive(self) -> float:
+        """Return the force that drives the concrete through a periodic pipe [N]."""
+        fixed, heavy = self.flow.state.layout.mean_velocity_fixed, self.flow.aggregates.bodies.extra_mass.numpy()
+        per_volume = float(self.flow.mesh.drive.numpy()[int(LAST_FORCE if fixed else FORCE)])
+        volume = float(self.mass[2][self.kind[2] == int(LIQUID)].sum()) / self.flow.scene.concrete.density
+        return per_volume * volume + _hastened(self.flow) * float(heavy.astype(float).sum()) / self.dt
 
     def _inertia(self) -> tuple[float, float, float, float]:
         """Return three rates of change in the step, and the momentum at its end [kg m/s].
@@ -278,8 +317,11 @@ class _Step:
         ]
         return kinetic / self.dt, damping / self.dt, (ends[1] - ends[0]) / self.dt, ends[1]
 
-    def _dissipation(self) -> tuple[float, float]:
-        """Return the power that the plastic viscosity and the yield stress of the mortar dissipate."""
+    def _dissipation(self) -> tuple[float, float, float]:
+        """Return the power that the plastic viscosity and the yield stress of the mortar dissipate, and a force [N].
+
+        The force is that of viscous stresses on faces that move with walls, along the last axis.
+        """
         flow, grid = self.flow, self.grid
         width = flow.state.layout.room.width
         volume = float(np.prod(width))
@@ -298,6 +340,11 @@ class _Step:
         viscosity = flow.scene.concrete.viscosity
         viscous = float(np.sum(total * viscosity / np.where(plain > 0, plain, 1.0)))
         sum_all = float(np.sum(total))
+        # The viscous stress of a cell acts on two opposite faces. The forces on both cancel, unless one belongs to a
+        # wall. The same holds for the shear stress of an edge.
+        free = self.unknown[2].astype(float)
+        stress = np.where(liquid, 2 * volume * fill * room * cut * rates[2] / width[2], 0.0)
+        by_walls = float(np.sum(stress * (free - grid.next(free, 2))))
         plain, cut = grid.array(flow.mesh.in_corner, 3), grid.array(flow.cut.in_corner, 3)
         for pair, (a, b) in enumerate(PAIRS):
             ends = moves[a] & grid.last(moves[a], b) & moves[b] & grid.last(moves[b], a)
@@ -310,7 +357,10 @@ class _Step:
             total = np.where(ends, wet * volume * rate**2 * cut[pair], 0.0)
             viscous += float(np.sum(total * viscosity / np.where(plain[pair] > 0, plain[pair], 1.0)))
             sum_all += float(np.sum(total))
-        return viscous, sum_all - viscous
+            if b == 2:
+                stress = np.where(ends, wet * volume * rate * cut[pair] / width[a], 0.0)
+                by_walls += float(np.sum(stress * (grid.last(free, a) - free)))
+        return viscous, sum_all - viscous, by_walls
 
     def _pairs(self) -> tuple[float, float, float, float]:
         """Return three powers of the forces on aggregates [W], and the force of walls on aggregates [N].

@@ -7,6 +7,7 @@ import numpy as np
 from ..core.errors import InstabilityError
 from ..core.units import quantity
 from ..mps.common.run import FlowRun
+from .balance import last_balance
 from .flow import SuspensionFlow
 
 SOLVE_BYTES = 4 * (8 * 64 + 24)
@@ -59,13 +60,20 @@ class AggregateRun(FlowRun):
         return 4 / 3 * np.pi * float(np.sum(self.flow.aggregates.radius**3)) / volume
 
     def aggregate_sizes(self) -> dict[str, Any]:
-        """Return number and volume fraction of the aggregates, for the run's result.
+        """Return number and volume fraction of the aggregates and the balance of momentum, for the run's result.
 
         With a sieve curve, also return the stated fraction and the smallest simulated size. Smaller aggregates count as
-        mortar.
+        mortar. The balance of momentum is that of the last time step, along the last axis of the grid. It is missing if
+        the coupled solve has not changed the flow since the program started.
         """
         found = {"count": self.flow.aggregates.count, "fraction": self.fraction}
         if self.scene.sieve is not None:
             found |= {"stated_fraction": self.scene.aggregate_fraction,
                       "smallest": quantity(self.scene.diameters[0], "m")}  # fmt: skip
-        return {"aggregates": found}
+        if self.flow.coupled.outer == 0:
+            return {"aggregates": found}
+        last = last_balance(self.flow)
+        momentum = {
+            "change": quantity(last.momentum, "N"), "forces": quantity(last.impulse, "N"), "error": last.momentum_error
+        }  # fmt: skip
+        return {"aggregates": found, "momentum_balance": momentum}

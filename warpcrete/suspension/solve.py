@@ -218,6 +218,11 @@ class CoupledSolve:
         self._launch(self.forces.blend, self.for_bodies, x=self._present(), flow=self.product.faces)
         return self.product.faces.numpy().astype(float).reshape(3, *self.flow.state.shape)
 
+    def pressure_forces(self) -> None:
+        """Compute the forces of the present pressure on all faces [N], and store them in `force`."""
+        flow = self.flow
+        self._launch(self.residuals.pressure_force, flow.state.slots, pressure=flow.mesh.pressure, forces=self.force)
+
     def _present(self) -> Any:
         """Return the vector of the present velocities, stored in the arrays of `self.product`."""
         flow, bodies = self.flow, self.flow.aggregates.bodies
