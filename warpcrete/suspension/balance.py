@@ -47,7 +47,8 @@ class Balance:
     """Total momentum of mortar and aggregates at the end of the step [kg m/s]."""
     impulse: float
     """Sum of the forces of walls, weight and other external forces along the last axis of the grid. It equals
-    `momentum`. The force that keeps the mean velocity in a periodic pipe constant is an external force."""
+    `momentum`, unless aggregates enter at a given speed, because the force that guides them is not included. The force
+    that keeps the mean velocity in a periodic pipe constant is an external force."""
     impulse_scale: float
     """Sum of the magnitudes of the forces whose sum is `impulse`."""
 

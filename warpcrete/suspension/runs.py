@@ -64,7 +64,8 @@ class AggregateRun(FlowRun):
 
         With a sieve curve, also return the stated fraction and the smallest simulated size. Smaller aggregates count as
         mortar. The balance of momentum is that of the last time step, along the last axis of the grid. It is missing if
-        the coupled solve has not changed the flow since the program started.
+        the coupled solve has not changed the flow since the program started. Its error is larger if aggregates enter at
+        a given speed.
         """
         found = {"count": self.flow.aggregates.count, "fraction": self.fraction}
         if self.scene.sieve is not None:
