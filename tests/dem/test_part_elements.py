@@ -343,6 +343,6 @@ def test_shapes_from_files_are_written_down_whole(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     import trimesh
 
-    trimesh.creation.icosphere(2).export("stone.stl")
-    scene = scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS["straight"] | {"shapes": "stone.stl"})
+    trimesh.creation.icosphere(1).export("stone.stl")
+    scene = scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS["straight"] | {"shapes": "stone.stl", "shape_spheres": 4})
     assert scene.parameters["shapes"] == str(tmp_path / "stone.stl"), "to be found from elsewhere, too"

@@ -159,7 +159,9 @@ def test_an_aggregate_on_the_floor_sees_a_wall_beside_it(device):
 
 
 @pytest.mark.parametrize("on_floor", [False, True])
-@pytest.mark.parametrize("angle", [0.0, 20.0, 45.0, 70.0])
+@pytest.mark.parametrize(
+    "angle", [0.0, 20.0, *(pytest.param(angle, marks=pytest.mark.thorough) for angle in (45.0, 70.0))]
+)
 @pytest.mark.parametrize("thick", [0.4, 0.9, 3.0])
 def test_a_bar_is_one_wall_at_its_true_gap(device, thick, angle, on_floor):
     """An upright bar is one neighbour in any direction, at its gap, also if the sphere lies on the floor beside it."""
