@@ -1,6 +1,6 @@
 """Pipe axes made of straight lines and circular arcs, and triangle meshes of the tubes around them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -101,6 +101,30 @@ class Axis:
         """True if the whole axis lies in one plane."""
         hinges = self.hinges()
         return bool(np.all(np.abs(np.cross(hinges[:1], hinges)) < 1e-9))
+
+    def flattened(self, allowed: float) -> "Axis":
+        """Return this axis with all bends in one plane, if this moves no point by more than `allowed` [m].
+
+        Otherwise, the result is this axis. An axis measured from a mesh has bends whose planes differ slightly, even if
+        the pipe bends in one plane.
+        """
+        hinges, tangent = self.hinges(), np.array(self.tangent)
+        if len(hinges) == 0:
+            return self
+        angles = np.array([piece.angle for piece in self.pieces if isinstance(piece, Arc)])
+        signs = np.where(hinges @ hinges[np.argmax(angles)] < 0, -1.0, 1.0)
+        normal = (signs * angles) @ hinges
+        normal = normal - (normal @ tangent) * tangent
+        normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
+        pieces, turns = [], iter(signs)
+        for piece in self.pieces:
+            if isinstance(piece, Arc):
+                towards = next(turns) * np.cross(normal, tangent)
+                piece = replace(piece, towards=tuple(towards.tolist()))
+                tangent = np.cos(piece.angle) * tangent + np.sin(piece.angle) * towards
+            pieces.append(piece)
+        flat, s = replace(self, pieces=tuple(pieces)), np.linspace(0.0, self.length, 200)
+        return flat if np.linalg.norm(flat.at(s)[0] - self.at(s)[0], axis=1).max() <= allowed else self
 
     def at(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """Return points and unit tangents at arc lengths `s` [m], shape (n, 3) each.

@@ -1,17 +1,21 @@
 """Inner surface of a pipe, extracted from a triangle mesh that may also have an outer skin, lids or several skins."""
 
+import functools
+
 import numpy as np
 
 from ..core.errors import refuse
 from .axis import Axis
 from .cleaning import clean, default_tolerance, merged_corners
-from .meshes import FARTHEST_WALL, SurfaceQueries
+from .meshes import FARTHEST_WALL, SurfaceQueries, fan
 
 MAX_RADIUS_ERROR = 0.1
 """Largest accepted difference between the radius of a mesh's bore and the radius of its pipe, as a fraction of the
 pipe's radius."""
 DIRECTIONS_AROUND = 24
 """Number of directions around a pipe's axis in which the distance to the wall is measured at each cross-section."""
+MAX_SECTIONS, MAX_AROUND = 1000, 240
+"""Largest numbers of cross-sections, and of points around each, at which a bore is compared with its mirror image."""
 INSET = 1e-3
 """Smallest distance between a cross-section and a rim or lid of the mesh, divided by the pipe's radius. Rays exactly at
 a rim or lid may miss the wall."""
@@ -102,8 +106,12 @@ class InnerSurface:
         """
         return self._wall_distances(self._inside(s), around)
 
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return the distance of `points` (n, 3) from the wall [m], positive inside the bore, shape (n,)."""
+    def distance(self, points: np.ndarray, margin: float = np.inf) -> np.ndarray:
+        """Return the distance of `points` (n, 3) from the wall [m], positive inside the bore, shape (n,).
+
+        For a point that is farther from the axis than the whole wall, by more than `margin` [m], the result is only the
+        difference of these distances from the axis. This saves time in a box around a bend.
+        """
         s = self.axis.along(points)
         inner = self._inside(s)
         nearest, tangents = self.axis.at(inner)
@@ -112,10 +120,49 @@ class InnerSurface:
         points = points + ((inner - s)[:, None] * tangents if np.any(inner != s) else 0.0)
         offset = points - nearest
         apart = np.linalg.norm(offset, axis=1)
+        if np.isfinite(margin):
+            result, close = self._farthest - apart, apart <= self._farthest + margin
+            result[close] = self._signed(points[close], nearest[close], offset[close], apart[close])
+            return result
+        return self._signed(points, nearest, offset, apart)
+
+    def _signed(self, points: np.ndarray, nearest: np.ndarray, offset: np.ndarray, apart: np.ndarray) -> np.ndarray:
+        """Return the distance of `points` from the wall [m], positive inside the bore, shape (n,).
+
+        `nearest` are the nearest points of the axis, `offset` the vectors from them to `points`, shape (n, 3), and
+        `apart` their lengths [m].
+        """
         ways = offset / np.maximum(apart, 1e-12)[:, None]
         found = self._queries.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
         inside = (found < 0) | (found >= apart)
         return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
+
+    @functools.cached_property
+    def _farthest(self) -> float:
+        """Largest distance of the wall from the axis [m], at the corners, edges and centres of its triangles."""
+        corners = self.vertices[self.faces]
+        edges = 0.5 * (corners + np.roll(corners, 1, axis=1))
+        points = np.concatenate([self.vertices, edges.reshape(-1, 3), corners.mean(axis=1)])
+        return float(np.linalg.norm(points - self.axis.nearest(points), axis=1).max())
+
+    def asymmetry(self, normal: np.ndarray, apart: float) -> float:
+        """Return the largest distance between the wall and its mirror image [m].
+
+        The mirror is the plane through the end of the axis that is perpendicular to the unit vector `normal` (3,). The
+        axis must lie in this plane. The distance is computed at points of the wall that are about `apart` [m] apart,
+        but at no more than `MAX_SECTIONS` cross-sections with `MAX_AROUND` points each.
+        """
+        low, high = self._inside(np.array([self._low, self._high]))
+        count = int(np.clip((high - low) / apart, 8, MAX_SECTIONS))
+        around = int(np.clip(2 * np.pi * self._radius / apart, DIRECTIONS_AROUND, MAX_AROUND))
+        points, _, one, other = self.axis.frame(np.linspace(low, high, count))
+        ways = fan(one, other, around).reshape(-1, 3)
+        starts = np.repeat(points, around, axis=0)
+        found = self._queries.rays(starts, ways, FARTHEST_WALL * self._radius)
+        # Leave out rays that pass between two facets because of rounding errors.
+        hit = (starts + found[:, None] * ways)[found >= 0]
+        beside = (hit - self.axis.at(self.axis.length)[0]) @ normal
+        return float(self._queries.distances(hit - 2 * beside[:, None] * normal).max(initial=0.0))
 
     def _inside(self, s: np.ndarray) -> np.ndarray:
         """Return the arc lengths `s` [m], limited to a range that keeps a small distance from the ends of the mesh.

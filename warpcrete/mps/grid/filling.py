@@ -18,17 +18,21 @@ MAX_MASS = 3.0
 
 
 def fill_cells(
-    room: Room, per_axis: int, concrete: Callable[[np.ndarray], np.ndarray]
+    room: Room, per_axis: int, concrete: Callable[[np.ndarray], np.ndarray], there: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of particles in the concrete [m], shape (n, axes), and their relative masses, shape (n,).
 
     A full cell gets `per_axis` particles along each axis, each of mass 1. `concrete` is a function that returns for
     each point, shape (n, axes), whether it lies in the concrete. The particles of a partly filled cell share the mass
     of the concrete in it equally, but each mass is limited to the range from 1 / MAX_MASS to MAX_MASS.
+
+    `there` tells which particles of each cell lie in the concrete, shape (cells..., per_axis^axes), with the last axis
+    of the particles fastest; by default, `concrete` computes it.
     """
     axes = len(room.cells)
     each = _sample_points(room, per_axis)
-    there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
+    if there is None:
+        there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
     count = there.sum(-1)
     part = count / per_axis**axes
     # The surface of the concrete may cross cells that are partly full, and cells with concrete on one side only.

@@ -104,7 +104,10 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     # Leave the sides of the box out of the distances at the corners of cells. The sides of the box coincide with sides
     # of cells, so they need no interpolation. With them, interpolation would round off every wall that meets a side of
     # the box at an angle.
-    corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
+    places = room.places([0.0] * axes, 1)
+    groups = ([wall for wall in walls if (wall[1] > ROUGH) == moves] for moves in (False, True))
+    standing, moving = (np.minimum(nearest_wall(room, group, sides=False)(places)[0], far) for group in groups)
+    corners = np.minimum(standing, moving)
     mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):
         for side, at in ((lower, 0), (upper, depth.shape[axis] - 1)):
@@ -146,6 +149,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     fine = np.stack([_last_first(halves[n]) for n in _first_fastest(axes)], -1)
     quarter_fraction = np.where(solid == NONE, _quarter_fractions(ends), 0.0)
     quarter_fraction = quarter_fraction.transpose(*range(axes + 1, 1, -1), 0, 1)
+    moves = any(number > ROUGH for _, number in walls)
+    swept = _swept_fractions(standing, rest[1], mirror | beyond) if moves else np.zeros(0)
     return Geometry(
         _last_first(solid),
         fine,
@@ -153,8 +158,19 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         np.ascontiguousarray(quarter_fraction),
         _last_first(weighted_volume),
         *rest,
-        _swept_fractions(room, walls, rest[1], mirror | beyond),
+        swept,
     )
+
+
+def octants(geometry: Geometry) -> np.ndarray:
+    """Return the distance from the nearest wall in the middle of each octant of each cell [m], shape (cells..., 8).
+
+    The layer of cells around the grid is left out. The axes of cells and octants have the order of the grid, with the
+    last axis fastest.
+    """
+    axes = geometry.depth.ndim - 1
+    inner = geometry.depth[(slice(1, -1),) * axes]
+    return inner.transpose(*range(axes - 1, -1, -1), axes)[..., _first_fastest(axes)]
 
 
 def _open_part(corners: np.ndarray, wall: np.ndarray, axis: int) -> np.ndarray:
@@ -170,23 +186,17 @@ def _open_part(corners: np.ndarray, wall: np.ndarray, axis: int) -> np.ndarray:
     return np.where(closed, 0.0, np.where(share > 1 - MIN_OPEN_FRACTION, 1.0, share))
 
 
-def _swept_fractions(
-    room: Room, walls: Sequence[tuple[Distance, int]], part: Sequence[np.ndarray], sides: np.ndarray
-) -> np.ndarray:
+def _swept_fractions(corners: np.ndarray, part: Sequence[np.ndarray], sides: np.ndarray) -> np.ndarray:
     """Return the fraction of each face's area that moving walls close and standing walls leave open.
 
-    `part` holds the open fractions of faces, one array for each axis, and `sides` is the mask of the cells beyond walls
-    and mirrors on sides of the box. The result has the shape (axes, *shape), and is empty if no wall moves.
+    `corners` holds the distances of the cells' corners from the standing walls [m]. `part` holds the open fractions of
+    faces, one array for each axis, and `sides` is the mask of the cells beyond walls and mirrors on sides of the box.
+    The result has the shape (axes, *shape).
 
     A moving wall displaces concrete through these parts of the faces. If the parts that a standing wall closes counted
     as well, small cells in which both walls meet would get much more concrete than the moving wall displaces.
     """
-    standing = [wall for wall in walls if wall[1] <= ROUGH]
-    if len(standing) == len(walls):
-        return np.zeros(0)
-    far = 2.0 * float(np.max(np.array(room.cells) * room.width))
-    axes = range(len(room.cells))
-    corners = np.minimum(nearest_wall(room, standing, sides=False)(room.places([0.0] * len(axes), 1))[0], far)
+    axes = range(sides.ndim)
     wall = sides | (_open_fraction(_corner_values(corners, axes), len(axes)) < MIN_OPEN_FRACTION)
     return np.stack([_last_first(_open_part(corners, wall, axis)) - part[axis] for axis in axes])
 

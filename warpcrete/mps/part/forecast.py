@@ -21,7 +21,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
         lambda: PartSimulation(scene, device=str(device), precision=precision, threads=threads),
         _course,
         lambda simulation: {
-            "dimensions": "three, half of the part" if scene.is_half else "three",
+            "dimensions": dimensions(scene),
             "walls": "mesh" if scene.wall is not None else "exact",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
@@ -29,6 +29,17 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
         },
         probe,
     )
+
+
+def dimensions(scene: PartScene) -> str:
+    """Return the number of dimensions in words, and whether half of the part is simulated."""
+    if scene.is_half:
+        return "three, half of the part"
+    if scene.symmetry == "whole":
+        return "three"
+    if not scene.axis.is_plane:
+        return "three, because the axis does not lie in one plane"
+    return f"three, because the mesh is asymmetric by {1e3 * scene.orientation.asymmetry:.2g} mm"
 
 
 def _course(simulation: PartSimulation) -> Course:

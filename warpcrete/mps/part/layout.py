@@ -12,7 +12,7 @@ import numpy as np
 from ...kernels.mps.grid.cells import GridKind
 from ..grid.distances import Distance
 from ..grid.filling import fill_cells
-from ..grid.geometry import MIRROR, OPEN_SIDE, PLATE, ROUGH, WALL, Room, geometry_of, nearest_wall
+from ..grid.geometry import MIRROR, OPEN_SIDE, PLATE, ROUGH, WALL, Room, geometry_of, nearest_wall, octants
 from ..grid.layout import GridLayout, Motion
 from .scene import PartScene
 
@@ -38,15 +38,8 @@ class Frame:
     """
 
     def __init__(self, scene: PartScene) -> None:
-        self.end, out = (a[0] for a in scene.axis.at(scene.axis.length))
-        _, into = (a[0] for a in scene.axis.at(0.0))
-        across = into - (into @ out) * out
-        if np.linalg.norm(across) < 1e-9:
-            hinges = scene.axis.hinges()
-            across = np.cross(hinges[0], out) if len(hinges) else np.eye(3)[np.argmin(np.abs(out))]
-            across = across - (across @ out) * out
-        across = across / np.linalg.norm(across)
-        self.axes = np.stack([across, np.cross(out, across), out])
+        self.end = scene.axis.at(scene.axis.length)[0][0]
+        self.axes = scene.orientation.axes
         """Axes of the grid as rows, in the coordinates of the scene, shape (3, 3)."""
 
     def to_grid(self, x: np.ndarray) -> np.ndarray:
@@ -90,8 +83,8 @@ def bore_distance(scene: PartScene) -> Distance:
     """Return a function of grid points that gives their distance from the wall of the bore [m], positive inside."""
     frame, axis = Frame(scene), scene.axis
     if scene.inner is not None:
-        inner = scene.inner
-        return lambda x: inner.distance(frame.to_scene(x))
+        inner, margin = scene.inner, MARGIN_CELLS * scene.rounded_spacing
+        return lambda x: inner.distance(frame.to_scene(x), margin)
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
     # In a cone, the distance to the wall is the distance normal to the pipe's axis, times the cosine of the cone's
     # slope.
@@ -134,7 +127,7 @@ def part_layout(scene: PartScene) -> GridLayout:
     def concrete(points: np.ndarray) -> np.ndarray:
         return nearest(points)[0] > 0
 
-    places, mass = fill_cells(room, PARTICLES_PER_AXIS, concrete)
+    places, mass = fill_cells(room, PARTICLES_PER_AXIS, concrete, octants(geometry) > 0)
     _, tangent = scene.axis.at(0.0)
     way = frame.axes @ tangent[0]
     share = 0.5 if scene.is_half else 1.0

@@ -19,6 +19,7 @@ from ...geometry.walls import MeshWall
 from ...theory.pipe import Concrete, Steady, steady
 from ...theory.pipe import Line as Stretch
 from ..common.settings import STEP_ERROR, MaximumIterations, PressureTolerance, check_interval
+from .symmetry import Orientation, orientation
 
 MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
@@ -30,6 +31,10 @@ ROUNDNESS_TOLERANCE = 0.03
 larger deviations, theory of round pipes is not applied."""
 AXIS_SAMPLES = 60
 """Number of points along the pipe's axis at which the bore inside a mesh is measured."""
+FLATNESS = 0.01
+"""Largest distance by which the axis of a mesh may be moved into one plane, divided by the radius of the bore."""
+NO_SYMMETRY = "the mesh differs from its mirror image in the plane of the pipe's axis"
+"""Beginning of the remark on a mesh that is not symmetric."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +57,7 @@ class PartSettings(Declared):
     symmetry: Annotated[
         str,
         "Simulate half of the pipe, on one side of the plane in which its axis lies, or the whole pipe; with half, "
-        "no aggregate crosses this plane of symmetry",
+        "no aggregate crosses this plane of symmetry. A pipe without such a plane is always simulated as a whole",
         OneOf(("half", "whole")),
     ] = "half"
     steadiness: Annotated[
@@ -124,6 +129,8 @@ class PartScene(Parametrised, PartSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.wall is not None:
+            object.__setattr__(self, "axis", self.axis.flattened(FLATNESS * self.radius))
         for name in ("flow", "spacing"):
             positive(name, getattr(self, name), "m3/s" if name == "flow" else "m")
         pieces = self.axis.pieces
@@ -153,6 +160,7 @@ class PartScene(Parametrised, PartSettings):
             problem = f"must end before the end of the pipe, which is {self.axis.length:g} m long"
             refuse("taper", self.bores.places[-1], problem)
         object.__setattr__(self, "_bores", self._measured_bores())
+        object.__setattr__(self, "_orientation", self._found_orientation())
         least = 2 * self.narrowest
         if self.spacing > least / MIN_ACROSS:
             problem = f"is too coarse: at least {MIN_ACROSS} cells must fit across the narrowest bore, {least:.4g} m"
@@ -195,6 +203,21 @@ class PartScene(Parametrised, PartSettings):
             refuse("radius", self.radius, f"must equal the mesh's radius at its start, {radii[0]:.4g} m", hint)
         return s, radii
 
+    def _found_orientation(self) -> Orientation:
+        """Return the orientation of the grid, and add a remark if a mesh has no symmetry that `symmetry` asks for."""
+        tested = self.inner if self.symmetry == "half" and self.axis.is_plane else None
+        found = orientation(self.axis, tested, self.radius, self.rounded_spacing)
+        remarks = [remark for remark in self.remarks if not remark.startswith(NO_SYMMETRY)]
+        if not found.is_symmetric:
+            remarks.append(f"{NO_SYMMETRY} by {1e3 * found.asymmetry:.2g} mm, so the whole pipe is simulated")
+        object.__setattr__(self, "remarks", tuple(remarks))
+        return found
+
+    @property
+    def orientation(self) -> Orientation:
+        """Axes of the grid, and the symmetry of the bore about the plane of the pipe's axis."""
+        return self._orientation  # type: ignore[attr-defined]
+
     @property
     def inner(self) -> InnerSurface | None:
         """Inner surface of the mesh; None for a round pipe without a mesh."""
@@ -229,7 +252,7 @@ class PartScene(Parametrised, PartSettings):
     @property
     def is_half(self) -> bool:
         """True if only one half of the part is simulated, because the part has a plane of symmetry."""
-        return self.symmetry == "half" and self.wall is None and self.axis.is_plane
+        return self.symmetry == "half" and self.axis.is_plane and self.orientation.is_symmetric
 
     @property
     def rounded_spacing(self) -> float:

@@ -5,6 +5,7 @@ from typing import Any
 
 from ...core.run.forecast import Forecast, Probe
 from ...mps.common.forecast import Course, flow_forecast, law_features
+from ...mps.part.forecast import dimensions
 from ...mps.part.method import METHOD as PARTS_OF_LINES
 from ..quantities import in_words
 from .display import PartSuspensionDisplay
@@ -20,7 +21,7 @@ def forecast(scene: PartSuspensionScene, device: Any, precision: str, threads: i
         lambda: PartSuspensionSimulation(scene, device=str(device), precision=precision, threads=threads),
         lambda simulation: Course(scene.duration, scene.time_step),
         lambda simulation: {
-            "dimensions": "three, half of the part" if scene.is_half else "three",
+            "dimensions": dimensions(scene),
             "walls": "mesh" if scene.wall is not None else "exact",
             "aggregates": f"{in_words(simulation.flow.aggregates, scene)}; {int((simulation.entering > 0).sum())} of "
                           "them enter during the run",
