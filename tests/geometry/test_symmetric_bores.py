@@ -17,7 +17,7 @@ from warpcrete.mps.part.simulation import PartSimulation
 FLOW = {"concrete": "no1", "flow": 0.0055, "gravity": 0.0, "unit": "horizontal", "diameter": 0.125, "straight": 0.15,
         "spacing": 0.0156}  # fmt: skip
 BEND = Axis((0, 0, 0), (1, 0, 0), (Line(0.1), Arc(0.2, np.pi / 4, (0, 1, 0)), Line(0.1)))
-SHORT = {"concrete": "no1", "flow": 1.5e-3, "straight": 0.3, "spacing": 0.0125}
+SHORT = {"concrete": "no1", "flow": 1.5e-3, "straight": 0.3, "spacing": 0.0115}
 
 
 def bulged(path, towards, height=0.006):
