@@ -208,7 +208,7 @@ BINGHAM_STEPS = 30
 # errors.
 SETTLING = {4: 0.085, 8: 0.02}
 SPIN = {4: 0.02, 8: 0.01}
-SLOPE = {4: 0.075, 8: 0.05}
+SLOPE = {4: 0.07, 8: 0.05}
 ORDER = 1.5
 """Smallest accepted order of the error of settling speed and viscosity."""
 
