@@ -190,7 +190,7 @@ CSV = [
     ("flow [m3/h],pressure [bar]\n10,=1+2\n20,4\n", "line 2"), ("flow [m3/h],pressure [bar]\n1 000,3\n20,4\n", "line 2"),
     ("flow [m3/h],pressure [bar]\n\uff11\uff10,0.3\n20,0.4\n", "=fitted to 2 points"), ("Flow [m3/h],Pressure [bar]\n10,3\n20,4\n", "=fitted to 2 points"),
     ("flow [m3/h],pressure\n10,3\n20,4\n", ""), ("flow [m3/h],pressure [bar],\n10,3\n20,4\n", "2 values"),
-    ("flow [m3/h],pressure [bar]\n10,3\n20 m3/h,4\n", ""), ("flow [m3/h],pressure [bar]\n10,\n20,4\n", ""),
+    ("flow [m3/h],pressure [bar]\n10,3\n20 m,4\n", ""), ("flow [m3/h],pressure [bar]\n10,\n20,4\n", ""),
     ('"flow [m3/h]","pressure [bar]"\r\n"10","0.3"\r\n"20","0.4"\r\n', "=fitted to 2 points"),
     ("flow [m3/h],pressure [bar]\n10,0.3\n\n20,0.4\n\n\n", "=fitted to 2 points"),
     ("flow [m3/h],pressure [bar]\n" + "10,3\n" * 3, ""), ("\ufeff\ufeffflow [m3/h],pressure [bar]\n10,3\n20,4\n", ""),

@@ -43,6 +43,14 @@ def refused(read, path, text):
          "a.yaml, line 6: part 1, straight: key = 'concrete': must be one of length, rise, diameter, factor, "
          "equivalent; write 'concrete: no1' outside the list 'parts', without indentation"),
         (LINE + "parts:\n- straight:\n    length: 10 m\n    rise: 99 bar\n", "a.yaml, line 6: part 1, straight: rise"),
+        (LINE + "parts:\n- bend: {up: 90}\n", "a.yaml, line 4: part 1, bend: key = 'up': must be one of to, angle, "
+                                               "radius, factor, equivalent; write 'to: up, angle: 90'"),
+        (LINE + "parts:\n- bend: up 45\n", "a.yaml, line 4: part 1, bend: to = 'up 45': must be one of up, down, left, "
+                                            "right, level, back; write 'bend: {to: up, angle: 45}'"),
+        (LINE + "parts:\n- reducer: {from: 125 mm, to: 100 mm}\n", "a.yaml, line 4: part 1, reducer: key = 'from': "
+         "must be one of to, length, factor, equivalent; a reducer begins with the diameter of the line; leave out"),
+        (LINE + "begin: horizontal\nparts:\n- straight: 1 m\n", "a.yaml, line 3: begin = 'horizontal': must be one of "
+                                                               "level, up, down; did you mean 'level'?"),
         (LINE + "largest_stone: 200 mm\nparts:\n- straight: 10 m\n", "a.yaml, line 3: largest_stone = '200 mm': does"),
         (LINE + "parts:\n- straight: 1 m\n- bend: left\n- bend: left\n- bend: left\n- straight: 10 m\n",
          "a.yaml, line 3: parts = [1, 5]: touch each other"),

@@ -147,6 +147,10 @@ class Course:
             angle = said.get("angle", 45) if way is None else way
             example = f"write the direction and, if needed, the angle, as in 'bend: {{to: up, angle: {angle}}}'"
             refuse(f"{field}: to", way, f"must be one of {', '.join(WAYS)}", example)
+        direction, _, turn = str(way).partition(" ")
+        if direction in WAYS and bare_number(turn.strip()):
+            example = f"write 'bend: {{to: {direction}, angle: {turn.strip()}}}'"
+            refuse(f"{field}: to", way, f"must be one of {', '.join(WAYS)}", example)
         one_of(f"{field}: to", way, WAYS)
         left = np.cross(UP, self.heading)
         towards = {"up": UP, "down": -UP, "left": left, "right": -left, "level": self.heading,
@@ -290,6 +294,12 @@ def _check_key(field: str, kind: str, key: Any, value: Any) -> None:
     if key in KEYS and key not in PARTS[kind]:
         problem = f"must be one of {', '.join(PARTS[kind])}"
         refuse(field, key, problem, f"write '{key}: {value}' outside the list 'parts', without indentation")
+    if (kind, key) == ("reducer", "from"):
+        problem = f"must be one of {', '.join(PARTS[kind])}; a reducer begins with the diameter of the line"
+        refuse(field, key, problem, "leave out 'from'")
+    if kind == "bend" and key in WAYS:
+        problem = f"must be one of {', '.join(PARTS[kind])}"
+        refuse(field, key, problem, f"write 'to: {key}, angle: {value}'" if value is not None else f"write 'to: {key}'")
     one_of(field, key, PARTS[kind])
 
 

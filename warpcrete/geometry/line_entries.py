@@ -87,6 +87,8 @@ MOST_PARTS, MOST_POINTS = 2000, 500
 """Largest number of parts in a pipeline, and largest number of points in a hose. The longest pipelines ever used for
 concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
+OTHER_BEGINS = {"horizontal": "level", "vertical": "up", "upwards": "up", "downwards": "down"}
+"""Words that users write instead of a direction in :data:`BEGINS`, with the direction."""
 WAYS = ("up", "down", "left", "right", "level", "back")
 BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
 """Default radius of a bend: the larger of BEND_RADIUS [m] and BEND_DIAMETERS times the pipe's diameter. The rule of the

@@ -20,7 +20,7 @@ from .bend_factors import with_bend_factor
 from .course import Course
 from .crossings import first_crossing
 from .customary_labels import with_customary_labels
-from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS, PART_HINTS, PARTS
+from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS, OTHER_BEGINS, PART_HINTS, PARTS
 from .pipe_line import PipeLine
 from .pumps import Pump, pump_of
 
@@ -105,6 +105,8 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     assert diameter is not None
     begin = given.get("begin", "level")
     with errors_located_at(given, "begin"):
+        if isinstance(begin, str) and begin in OTHER_BEGINS:
+            refuse("begin", begin, f"must be one of {', '.join(BEGINS)}", f"did you mean {OTHER_BEGINS[begin]!r}?")
         one_of("begin", begin, BEGINS)
     course = Course(np.array(BEGINS[begin]), diameter, folder)
     for number, entry in enumerate(entries, 1):

@@ -40,6 +40,7 @@ NUMBERS = {
         "1",
         0.12,
         1.2,
+        "write the ratio as in 0.5, or as '50 %'",
     ),
     "voids": Entry("Void content of the compacted mixture of sand and stones", "m3/m3", 0.1, 0.5,
                    "write a percentage with %, as in '24 %'"),

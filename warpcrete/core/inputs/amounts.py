@@ -302,7 +302,7 @@ def _advice(text: str, unit: str) -> str:
     return _suggested_unit(found[1], unit) if found and found[1] else ""
 
 
-WORDS_OF_UNITS = {
+WORDS_OF_UNITS: Mapping[str, Mapping[str, str]] = {
     "m3/s": dict.fromkeys(("m3", "m³", "cbm", "cbm/h", "m^3/h", "m3/hour", "m3h", "m³h"), "m3/h"),
     "m": {"millimeter": "mm", "millimetre": "mm", "centimeter": "cm", "centimetre": "cm", "meter": "m", "metre": "m"},
     "s": {"minute": "min", "minutes": "min", "mins": "min", "sec": "s", "second": "s", "seconds": "s", "hour": "h",

@@ -18,10 +18,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import numpy as np
-
 from ..errors import one_of, refuse
-from ..narrowing import is_numpy_number
+from ..narrowing import is_host_array, is_list_or_tuple, is_numpy_number
 from ..written_numbers import WrittenNumber, written_text
 from .amounts import amount
 from .limits import check_limit, check_whole, warn
@@ -231,7 +229,8 @@ class Field:
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
             words = WORDS.get(self.kind, f"a {self.kind.__name__}")
             hint = f"write a number in{self.unit}" if self.kind is float and self.unit else ""
-            if isinstance(value, list | tuple | np.ndarray) and self.kind in WORDS:
+            several = is_list_or_tuple(value) or is_host_array(value)
+            if several and self.kind in WORDS:
                 hint = f"a study simulates several values: warpcrete.study(..., vary={{{name!r}: [...]}})"
             refuse(name, value, f"must be {words}{' or None' if self.optional else ''}", hint)
         if isinstance(value, str) and "\0" in value:

@@ -22,13 +22,13 @@ S = TypeVar("S", bound="SimulationBase")
 
 def refuse_scene(scene: object, known: Sequence[type], hint: str = "") -> NoReturn:
     """Raise :class:`SceneError` about an object that is not a scene of one of the types `known`."""
-    problem = f"must be a {' or a '.join(each.__name__ for each in known)}"
+    problem, kind = f"must be a {' or a '.join(each.__name__ for each in known)}", type(scene).__name__
     example = "create one with a function of warpcrete.scenes, such as warpcrete.scenes.pipe()"
     if isinstance(scene, SceneFunction):
         example = f"call this function, as in warpcrete.scenes.{scene.__name__}()"
     elif isinstance(scene, str) and scene.isidentifier():
         example = f"call a function of warpcrete.scenes, as in warpcrete.scenes.{scene}()"
-    refuse("scene", type(scene).__name__, problem, hint or example)
+    refuse("scene", kind, problem, hint or example)
 
 
 class SimulationBase(SimulationOnDevice):
