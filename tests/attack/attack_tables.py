@@ -311,7 +311,7 @@ OPTIONS = [  # words, and what is said
     ("verify --only nothing", "matches no case"), ("verify --device gpu", "device"), ("verify --out whole", "exists"), ("verify --precision 3", ""),
     ("reproduce", ""), ("reproduce li", ""), ("reproduce zhan --seeds 0", "seeds"), ("reproduce zhan --seeds -3", "seeds"),
     ("reproduce zhan --only rows", "only"), ("reproduce xu --only velocity", "only"), ("reproduce zhan --known whole --out o", "known"),
-    ("reproduce --resume whole", "no reproduction"), ("reproduce zhan --out whole", "exists"), ("reproduce zhan --processes 0", "processes"),
+    ("reproduce --resume whole", "not of a reproduction"), ("reproduce zhan --out whole", "exists"), ("reproduce zhan --processes 0", "processes"),
     ("view", ""), ("view nowhere", ""), ("view whole", ""), ("view study --web", ""), ("view site.yaml", ""), ("view whole --bind 1.2.3", ""),
     ("schema", "kind"), ("schema lines", "did you mean 'line'"), ("schema ../line", ""), ("schema line extra", ""), ("--nothing", ""), ("nothing", ""),
     ("run tube --concrete no1\u200b", "concrete"),
