@@ -175,9 +175,9 @@ def test_points_that_do_not_suffice_are_refused(points, says):
         ("place [m],pressure [bar],flow [m3/h]\n0,20,20,7\n", r"line 2: has 4 values where the header names 3 columns"),
         (
             "place [m],pressure [bar],flow [m3/h]\n200,20,20\n",
-            r"taps\.csv, line 2: place = 200\.0: must be at least 0 and below 158",
+            r"taps\.csv, line 2: place = '200 m': must be at least 0 and below 158",
         ),
-        ("place [m],pressure [bar],flow [m3/h]\n-1,20,20\n", r"place = -1\.0: must be at least 0 and below "),
+        ("place [m],pressure [bar],flow [m3/h]\n-1,20,20\n", r"place = '-1 m': must be at least 0 and below "),
         ("part,pressure [bar],flow [m3/h]\n9,20,20\n", r"line 2: part = 9\.0: must be the number of a part, 1 to 8"),
         ("part,pressure [bar],flow [m3/h]\n1.5,20,20\n", r"part = 1\.5: must be the number of a part"),
         (
@@ -186,10 +186,10 @@ def test_points_that_do_not_suffice_are_refused(points, says):
         ),
         (
             "part,pressure [bar],flow [m3/h]\n1,0,20\n",
-            r"pressure = 0\.0: must be a finite number above 0 Pa; leave out",
+            r"pressure = '0 bar': must be a finite number above 0 Pa; leave out",
         ),
         ("part,pressure [bar],flow [m3/h]\n1,,20\n", r"line 2: pressure = '': is empty; write a number, or leave"),
-        ("part,pressure [bar],flow [m3/h]\n1,20,20000\n", r"flow = 5\.5.*: is impossible"),
+        ("part,pressure [bar],flow [m3/h]\n1,20,20000\n", r"flow = '20000 m3/h': is impossible"),
     ],
 )
 def test_files_of_taps_that_are_wrong_are_refused(tmp_path, text, says):
