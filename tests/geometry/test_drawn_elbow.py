@@ -35,7 +35,7 @@ def test_the_example_draws_a_bent_pipe_with_a_wall(tmp_path, monkeypatch):
     # The command that the page gives for the round pipe of the program has the same course.
     options = dict(re.findall(r"--(angle|elbow-radius|straight) ([\d.]+)", built_in_command()))
     round_pipe = scenes.part(
-        unit="bend-to-vertical", spacing=0.015, **{key.replace("-", "_"): float(v) for key, v in options.items()}
+        unit="bend-to-vertical", spacing=0.0125, **{key.replace("-", "_"): float(v) for key, v in options.items()}
     )
     assert round_pipe.axis.length == pytest.approx(scene.axis.length, rel=1e-3)
     assert round_pipe.rise == pytest.approx(scene.rise, rel=0.01)
@@ -61,7 +61,7 @@ def pressures_of(scene, pressure):
 
 def test_the_pressure_of_a_part_is_told_apart_into_friction_and_weight():
     """An upright pipe of 0.3 m and a bend with a radius of 0.25 m rise by 0.55 m."""
-    given = dict(unit="bend-to-horizontal", straight=0.3, elbow_radius=0.25, concrete="no1", spacing=0.015)
+    given = dict(unit="bend-to-horizontal", straight=0.3, elbow_radius=0.25, concrete="no1", spacing=0.0125)
     told = pressures_of(scenes.part(**given), 30e3)
     weight = 2354 * 9.81 * 0.55 / 1e3
     assert told["due to weight"] == f"{weight:.4g} kPa   (rise 0.55 m; gravity 9.81 m/s2)"
