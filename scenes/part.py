@@ -115,11 +115,6 @@ NARROW_CELLS = 11
 from theory. In a cone from 100 to 80 mm, it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
 
 
-MIN_CELLS_ACROSS = 8
-"""Minimum number of cells across the narrowest section of a flow without aggregates. The friction of straight pipe
-deviates from theory by 2 to 3 % with 8 cells and by 8 % with 6 cells, of which the check allows 3 %."""
-
-
 @scene_function(PartParameters)
 def scene(parameters: PartParameters) -> PartScene:
     """Model concrete that is pumped at a given volume flow through a part of a pump line or a whole pump line.
@@ -139,8 +134,6 @@ def scene(parameters: PartParameters) -> PartScene:
     )
     check_velocity("flow", given.flow, given.flow / (math.pi * narrow**2))
     bores = replace(course.bores, radii=tuple(radius - given.slip_thickness for radius in course.bores.radii))
-    if not given.aggregate_fraction and course.wall is None:
-        _check_spacing(given.spacing, 2 * bores.smallest)
     return part_scene(
         given,
         name="part",
@@ -151,15 +144,6 @@ def scene(parameters: PartParameters) -> PartScene:
         **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
         **{f.name: getattr(course, f.name) for f in fields(_PipeCourse)} | {"bores": bores},
     )
-
-
-def _check_spacing(spacing: float, narrowest: float) -> None:
-    """Refuse a `spacing` of cells [m] that is too large for the bore, whose smallest diameter is `narrowest` [m]."""
-    most = narrowest / MIN_CELLS_ACROSS
-    if spacing > most * (1 + 1e-9):
-        needed = f"at least {MIN_CELLS_ACROSS} cells must fit across the narrowest bore"
-        problem = f"is too coarse: {needed}, {narrowest:.4g} m"
-        refuse("spacing", spacing, problem, f"use {at_most(most)} m or less")
 
 
 def _too_coarse(given: PartParameters, course: _PipeCourse) -> tuple[str, ...]:
@@ -313,9 +297,9 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
     narrow = min(given.diameter, given.outlet_diameter or given.diameter)
     if given.line is not None:
         narrow = 2 * read_line(given.line).bores.smallest
-    coarsest = narrow / (MIN_CELLS_ACROSS if given.wall is None else MIN_ACROSS)
+    coarsest = narrow / MIN_ACROSS
     if given.aggregate_fraction:
-        coarsest = min(narrow / MIN_ACROSS, given.diameters[0] / MIN_CELLS)
+        coarsest = min(coarsest, given.diameters[0] / MIN_CELLS)
     spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= coarsest]
     yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m", resolution=True)
     yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")

@@ -28,8 +28,8 @@ def refused(read, path, text):
     ("text", "expected"),
     [
         ("concrete: no1\nparts:\n- diameter: 125 mm\n- straight: 10 m\n",
-         "a.yaml, line 3: part 1 = 'diameter': is an entry of the line, not a part; write 'diameter: 125 mm' outside"),
-        (LINE + "parts:\n- straight: 10 m\n  flow: 30 m3/h\n", "a.yaml, line 5: part 1 = 'flow': is an entry of the"),
+         "a.yaml, line 3: part 1 = 'diameter': describes the whole line, so it cannot be a part; write 'diameter"),
+        (LINE + "parts:\n- straight: 10 m\n  flow: 30 m3/h\n", "a.yaml, line 5: part 1 = 'flow': describes the whole"),
         (LINE + "parts:\n- straight: 10 m\n  factor: 1.2\n",
          "a.yaml, line 4: part 1 = {'straight': '10 m', 'factor': 1.2}: must be one of "),
         (LINE + "parts: 5\n", "a.yaml, line 3: parts = 5: must be a list of one or more parts; write one part per"),

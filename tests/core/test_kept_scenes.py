@@ -33,7 +33,7 @@ VARIANTS = {
         {"spacing": 0.0125, "straight": 0.2, "diameter": 0.1},
         {
             "unit": "bend-level",
-            "spacing": 0.01,
+            "spacing": 0.0125,
             "straight": 0.2,
             "diameter": 0.1,
             "outlet_diameter": 0.08,

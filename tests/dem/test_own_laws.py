@@ -63,7 +63,7 @@ MISTAKES = {
         "push * t.vec3(scalar(1.0), scalar(0.0), scalar(0.0))",
         r"N along the contact plane': must be along touch\.normal",
     ),
-    "shear backwards": ("return shear - push", "return -shear - push", r"must drag body a along with body b"),
+    "shear backwards": ("return shear - push", "return -shear - push", r"because body b drags body a along"),
     "history not kept": (
         "has_history = True",
         "has_history = False\n    has_shear = True",

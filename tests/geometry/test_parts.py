@@ -133,7 +133,7 @@ def test_a_reducer_from_a_mesh_is_one_by_formula(device, tmp_path):
 
 
 def test_a_slip_layer_of_some_thickness_makes_the_concrete_thinner():
-    scene = scenes.part(slip_thickness=2e-3, **SHORT | {"spacing": 0.012})
+    scene = scenes.part(slip_thickness=2e-3, **SHORT)
     assert scene.radius == pytest.approx(0.048) and scene.concrete.slip_viscosity == 889
     assert scene.flow == pytest.approx(1.5e-3)
 
@@ -203,7 +203,7 @@ def test_frames_turn_places_and_turn_them_back():
 @pytest.mark.parametrize(
     "given, words",
     [
-        ({"spacing": 0.03}, "spacing = 0.03: is too coarse: at least 8 cells"),
+        ({"spacing": 0.03}, "spacing = 0.03: is too coarse: at least 6 cells"),
         ({"time_step": 1.0, "duration": 3.0}, "time_step = 1.0: must be shorter, because concrete"),
         ({"elbow_radius": 0.04}, "elbow radius = 0.04: must exceed"),
         (

@@ -56,7 +56,7 @@ UNITS = {
 def test_a_line_is_the_unit_that_it_is(device, tmp_path, kind):
     """The same cells and bits, and all that is measured."""
     parts, unit = UNITS[kind]
-    settings = COARSE | {"duration": 0.06, "steadiness": 1e-12} | ({"spacing": 0.01} if kind == "reducer" else {})
+    settings = COARSE | {"duration": 0.06, "steadiness": 1e-12}
     line, known = (
         PartSimulation(scenes.part(**settings, **more), device=device).run()
         for more in ({"line": written(tmp_path, parts)}, unit | {"straight": 0.2})
@@ -98,7 +98,7 @@ def test_each_part_gets_what_it_loses(tmp_path):
     """The pressure falls by 20 kPa/m in straights, 60 kPa/m in the bend, and 40 kPa/m in the cone after the bend."""
     parts = ("[{straight: 0.4}, {bend: {to: left, radius: 0.25}}, {reducer: {to: 0.08, length: 0.2}}, "
              "{straight: 0.2}, {straight: 0.3}]")  # fmt: skip
-    scene = scenes.part(line=written(tmp_path, parts), **COARSE | {"spacing": 0.01})
+    scene = scenes.part(line=written(tmp_path, parts), **COARSE)
     arc = 0.25 * math.pi / 2
     assert [section.kind for section in scene.sections] == ["straight", "bend", "reducer", "straight", "straight"]
     assert scene.middle == pytest.approx((0.4, 0.6 + arc)) and len(scene.axis.pieces) == 3
@@ -200,7 +200,7 @@ def test_the_command_takes_flow_and_concrete_from_the_file(tmp_path):
         ("[{straight: 0.3}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 0.6}, "
          "{bend: {to: left, radius: 0.2}}, {straight: 0.8}]", {}, "crosses the plane of its inlet again"),
         ("[{straight: 1}, {reducer: {to: 0.05, length: 0.2}}, {straight: 1}]", {},
-         r"^spacing = 0\.0125: is too coarse: at least 8 .* across the narrowest bore, 0\.05 m; use 0\.00625"),
+         r"^spacing = 0\.0125: is too coarse: at least 6 .* across the narrowest bore, 0\.05 m; use 0\.00833"),
         ("[{straight: 1}]", {"diameter": 0.08}, r"^diameter = 0\.08: has no effect unless 'line' is left out"),
         ("[{straight: 1}]", {"wall": "x.stl"}, r"^wall = '.*x\.stl': has no effect unless 'line' is left out"),
         ("[{straight: 1}]", {"slip_thickness": 0.06, "slip_viscosity": 900.0}, "^slip_thickness = 0.06"),

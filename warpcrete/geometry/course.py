@@ -52,10 +52,10 @@ Pieces = Sequence[Line | Arc]
 
 
 def _corrected(entry: Any) -> str:
-    """Return the correction of an entry that is no mapping from the kind of a part to its properties.
+    """Return a hint that says how to write an entry of the list of parts correctly.
 
-    Users write '- elbow' or '- straight 10 m', which YAML reads as a text, or a property beside the kind instead of
-    below it, as in '- {straight: 10 m, factor: 1.2}'.
+    A correct entry maps the kind of a part to its properties. Users write '- elbow' or '- straight 10 m', which YAML
+    reads as a text, or a property beside the kind instead of below it, as in '- {straight: 10 m, factor: 1.2}'.
     """
     if isinstance(entry, Mapping):
         kind, *others = entry or ("",)

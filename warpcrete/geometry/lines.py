@@ -157,7 +157,7 @@ def _check_list(entries: Any) -> None:
             if key in KEYS:
                 with errors_located_at(entries, number), errors_located_at(entry, key):
                     hint = f"write '{key}: {entry[key]}' outside the list 'parts', without indentation"
-                    refuse(f"part {number + 1}", key, "is an entry of the line, not a part", hint)
+                    refuse(f"part {number + 1}", key, "describes the whole line, so it cannot be a part", hint)
 
 
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:

@@ -77,6 +77,6 @@ class SuspensionSimulation(AggregateRun, FreeSimulation):
         return super().sizes() | self.aggregate_sizes()
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result that follow from the time series and the surface; there are no tables."""
+        """Return the entries of the result, which follow from the time series and the free surface, and the tables."""
         result, tables = super().outcome(series)
         return result | results_of(QUANTITIES, RunData(self.scene, series, self.volume)), tables

@@ -144,7 +144,8 @@ def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
         if not is_dict(found):
             with errors_located_at(given, section):
                 problem = "must hold 'name: value' lines"
-                refuse(f"concrete {section}", found, problem, "indent these lines below the name of the section")
+                hint = f"write each property on a line of its own below '{section}:', and indent these lines"
+                refuse(f"concrete {section}", found, problem, hint)
         sections[section] = found
     factor_source = _factor_source(given, sections["flow"], name_of(path))
     if "mix" in given and not is_dict(given["mix"]):

@@ -89,8 +89,8 @@ class Simulation(CheckpointedSimulation):
             positive("frame_interval", frame_interval, "s")
         if out is not None:
             self._use_folder(output_of(out))
-        # Keep these recorders of a run without a folder apart from `recorders`: the run stops between samples to record
-        # frames only if `recorders` is not empty.
+        # Do not add these recorders, which a run without a folder has, to `recorders`. If `recorders` is not empty, the
+        # run also stops between samples to record frames, and these recorders need no frames.
         self._more_recorders = [] if out is not None else list(recorders_without_folder(self))
         self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling

@@ -142,8 +142,8 @@ class NeighborLists:
         if self._cells.made > made and b.planner.rebuilds_on_device:
             b.invalidate_graphs()
         rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
-        # On a CPU, `_search` has already launched the phases `cells` and `search` of the rebuild, so continue after
-        # them.
+        # With half lists, which only a CPU uses, `_search` has already launched the phases `cells` and `search` of the
+        # rebuild. In this case, continue with the phase `count`.
         rebuild.launch("count" if b.features.half_list else "cells", "starts")
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):

@@ -336,8 +336,9 @@ def _check_motion(law: ContactLaw, where: Circumstances, depth: np.ndarray, spee
     if slid.side.min() < -ROUNDING * np.abs(slid.side).max():
         refuse(
             f"{name}.force()",
-            f"a force of {slid.side.min():.3g} N on body a in the direction in which body b slides",
-            "must drag body a along with body b; touch.velocity is the velocity of body b relative to body a",
+            f"a shear force of {slid.side.min():.3g} N on body a, positive in the direction in which body b slides",
+            "must be positive, because body b drags body a along; touch.velocity is the velocity of body b relative to "
+            "body a",
             "return the opposite sign of the shear force",
         )
     if not law.has_shear and np.abs(slid.along).max() > ROUNDING * size:

@@ -237,7 +237,7 @@ class ElementDisplay(Display):
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
     def _current_stresses(self, stations: Stations) -> np.ndarray:
-        """Return the stresses in all slices of the pipe [Pa], shape (slices, columns).
+        """Return the stresses in all slices of the pipe [Pa], shape (slices, stresses), in the order of `COLUMNS`.
 
         If the time series contains stresses, they are taken from its last row. This row is at most one sampling
         interval old, by default 0.01 s of simulated time. Otherwise the stresses are computed from the current state.

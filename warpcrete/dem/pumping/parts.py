@@ -127,7 +127,7 @@ class PartElements(
 ):  # fmt: skip
     """All parameters of a part of a pumping line: concrete, pipe, piston, contacts, plug, measurements and run.
 
-    The default modulus is five times that of Zhan et al. (2019), which is the default of the pipe units. Softer
+    The default modulus is five times that of Zhan et al. (2019), which is the default of the scene `pipe`. Softer
     aggregates are still being compressed when the piston has completed its travel: with 1e5 Pa, only half as much
     concrete leaves the default part as enters it, and the part counts as blocked.
     """

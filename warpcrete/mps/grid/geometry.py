@@ -293,8 +293,8 @@ def _weighted_volume(room: Room, ends: np.ndarray, shut: np.ndarray, wall: np.nd
     full, cut = (low > 0) & ~shut, (low <= 0) & (ends.max(inner) > 0) & ~shut
     radius = None
     if axial:
-        # In axisymmetric flow, volumes are weighted with the radius. The parts therefore differ from one full cell to
-        # the next, and must be computed for every full cell.
+        # In axisymmetric flow, volumes are weighted with the radius. The volumes that belong to the corners of a cell
+        # therefore differ from one full cell to the next, and must be computed for every full cell.
         full, cut = np.zeros_like(full), full | cut
         along = (np.arange(full.shape[0]) - 1)[:, None] + (np.arange(fine) + 0.5) / fine
         radius = np.maximum(along * room.width[0], 0.0)[np.nonzero(cut)[0]]

@@ -113,9 +113,9 @@ class LineFit:
     """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers with the smallest and the largest yield stress
     that the measured pressures do not distinguish from the fitted layer."""
     later_uncertainty: float = 0.0
-    """Uncertainty u of the slip layer's resistance if the layer is used in another line, at 0.5 to 2 times the measured
-    flows. It includes the error of the fitted layer that is due to the uncertain friction of the trial line's
-    fittings."""
+    """Relative uncertainty of the slip layer's resistance if the layer is used in another line, at 0.5 to 2 times the
+    measured flows: 0.3 means a resistance between 1 / 1.3 and 1.3 times the fitted one. It includes the error of the
+    fitted layer that is due to the uncertain friction of the trial line's fittings."""
     expected: float = 1.0
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""
     laws: Mapping[str, float] = field(default_factory=dict)
