@@ -90,7 +90,7 @@ def sizes_table(arguments) -> None:
                     scene = make(kind, count)
                     stepper = ready(scene, arguments.device, precision, number)
                     spheres = stepper.state.sphere_count
-                    steps = int(np.clip((1e9 if cuda else 4e6) / spheres, 40, 3000))
+                    steps = int(np.clip((1e9 if cuda else 4e6) / spheres, 200 if cuda else 40, 3000))
                     speed = rate(stepper, steps, arguments.repeats)
                     touching = contact_sums(stepper.model, stepper.state).contacts / spheres
                     body, sphere = bytes_per_body(stepper.model, placed_bodies(scene))

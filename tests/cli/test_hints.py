@@ -136,11 +136,6 @@ def test_seeds_have_no_upper_limit_in_the_message():
     assert refused(lambda: scenes.pipe(strokes=-1e23)) == "strokes = -1e+23: must be a whole number"
 
 
-def test_a_part_with_eight_cells_across_is_accepted():
-    assert scenes.part(spacing=0.0125).spacing == 0.0125
-    assert scenes.part(spacing=0.0125, slip_thickness=0.0).spacing == 0.0125
-
-
 def test_rounded_numbers_have_all_digits():
     assert [rounded(123456.789, digits) for digits in (2, 4, 7, 9)] == ["120000", "123500", "123456.8", "123456.789"]
     assert rounded(1234567.0) == "1.235e+06" and rounded(0.1 + 0.2) == "0.3"
