@@ -251,8 +251,11 @@ def _plain(outcome: Any) -> Any:
         return outcome.result
     if not isinstance(outcome, Exception):
         return None
-    outcome.__cause__ = outcome.__context__ = None  # Their tracebacks hold the same arrays.
-    return outcome.with_traceback(None)
+    linked: BaseException | None = outcome
+    while linked is not None:  # The errors that led to this one hold arrays of the run, too.
+        linked.__traceback__ = None
+        linked = linked.__cause__ or linked.__context__
+    return outcome
 
 
 def outcome_of(folder: Path) -> Any:

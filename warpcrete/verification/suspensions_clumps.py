@@ -126,7 +126,7 @@ def tumbling(across: int, wide: int, device: str, precision: str) -> float:
 # Largest accepted relative errors of three cases with 4 cells across a sphere: settling speed of a clump, period of a
 # turning clump, and spin of a clump.
 SETTLING, PERIOD, SPIN = 0.085, 0.05, 0.085
-FINE_PERIOD, FINE_SPIN = 0.03, 0.03
+FINE_PERIOD, FINE_SPIN = 0.02, 0.03
 """Largest accepted relative errors of period and spin of a turning clump with 8 cells across a sphere."""
 PERIOD_ORDER = 0.5
 """Smallest accepted order of the error of the period. The walls of the box cause a part of the error, which does not

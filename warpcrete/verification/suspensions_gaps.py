@@ -93,10 +93,13 @@ def wall_resistance(gap: float) -> float:
     return 4 / 3 * float(np.sinh(alpha)) * total
 
 
-# Largest accepted errors of the speed with 4 and with 8 cells across a sphere. `validation/suspension-exact.md` lists
-# the actual errors.
-APPROACH = {4: 0.12, 8: 0.21}
-WALL = {4: 0.15, 8: 0.07}
+# Largest accepted errors of the speed with 4 and with 8 cells across a sphere. The exceptions are single cases with
+# larger errors: gap in cells, and whether the sphere is shifted. `validation/suspension-exact.md` lists the actual
+# errors.
+APPROACH = {4: 0.12, 8: 0.1}
+APPROACH_EXCEPTIONS = {(8, 0.5, True): 0.21}
+WALL = {4: 0.07, 8: 0.07}
+WALL_EXCEPTIONS = {(4, 0.2, False): 0.15}
 
 
 def approach_case(device: str, precision: str) -> list[Row]:
@@ -106,7 +109,7 @@ def approach_case(device: str, precision: str) -> list[Row]:
             f"{across} cells, gap of {gap:g} cells, {shift[0]:g} cells off",
             approaching(across, gap, shift, device, precision),
             1.0,
-            APPROACH[across],
+            APPROACH_EXCEPTIONS.get((across, gap, shift[0] > 0), APPROACH[across]),
         )
         for across in (4, 8)
         for gap in GAPS
@@ -121,7 +124,7 @@ def wall_case(device: str, precision: str) -> list[Row]:
             f"{across} cells, gap of {gap:g} cells, {shift[0]:g} cells off",
             approaching_wall(across, gap, shift, device, precision),
             1.0,
-            WALL[across],
+            WALL_EXCEPTIONS.get((across, gap, shift[0] > 0), WALL[across]),
         )
         for across in (4, 8)
         for gap in GAPS

@@ -176,12 +176,16 @@ def random_case(device: str, precision: str) -> list[Row]:
     return found
 
 
+WEAKEST = 0.04
+"""Smallest relative effect of the spheres on the yield stress at a Bingham number of 10; 0.1 was computed."""
+
+
 def yield_case(device: str, precision: str) -> list[Row]:
     """Compare the yield stress of a suspension with the law of Chateau, Ovarlez & Trung (2008).
 
     The law holds for Bingham numbers of 1 and below. At a Bingham number of 10, the mortar flows mostly in narrow bands
-    between spheres, so that the yield stress must be smaller than that of the law, but not smaller than that of the
-    mortar.
+    between spheres, so that the yield stress must be smaller than that of the law, but larger than that of the mortar
+    by at least the fraction `WEAKEST`.
     """
     rows = []
     for bingham in (0.3, 1.0, 10.0):
@@ -190,7 +194,8 @@ def yield_case(device: str, precision: str) -> list[Row]:
         if bingham <= 1:
             rows.append(Row(name, factor, expected, 0.15))
         else:
-            rows.append(Row(name, factor, 0.5 * (1 + expected), 0.5 * (expected - 1), scale=1.0))
+            least = 1 + WEAKEST
+            rows.append(Row(name, factor, 0.5 * (least + expected), 0.5 * (expected - least), scale=1.0))
     return rows
 
 
@@ -224,7 +229,7 @@ def moving_case(device: str, precision: str) -> list[Row]:
         ours, reference = (settling_together(number, device, precision, each) for each in (Tolerances(), exact))
         errors = np.abs(ours - reference).max((1, 2)) / np.abs(reference).max((1, 2))
         for name, part in (("first step, from rest", errors[:1]), ("other steps, in motion", errors[1:])):
-            rows.append(Row(f"viscous number {number:g}: {name}", float(part.max()), 0.0, 0.02, scale=1.0))
+            rows.append(Row(f"viscous number {number:g}: {name}", float(part.max()), 0.0, 1e-3, scale=1.0))
     return rows
 
 

@@ -322,7 +322,7 @@ def _suggested_unit(written: str, unit: str) -> str:
     words = WORDS_OF_UNITS.get(unit, {})
     if (meant := words.get(written) or words.get(written.lower())) is not None:
         return f"did you mean {meant!r}?"
-    if unit.startswith(written):
+    if len(written) > 1 and unit.startswith(written):
         return f"did you mean {unit!r}?"
     near = re.search(r"'(.*)'", suggested(written, accepted_units(unit)))
     if near is None:

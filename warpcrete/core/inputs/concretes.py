@@ -188,10 +188,19 @@ def _factor_source(given: Mapping[str, Any], flow: dict[str, Any], name: str) ->
         if stated is not None and not isinstance(stated, (str, int, float)):
             refuse(f"concrete flow {FACTOR_SOURCE}", stated, "must be a text, such as 'tribometer after 60 min'")
     source = "" if stated is None else one_line(str(stated))
-    if not source and (factors := [key for key in FACTOR_KEYS if flow.get(key, 1) not in (1, "1")]):
+    if not source and (factors := [key for key in FACTOR_KEYS if not _is_one(flow.get(key, 1))]):
         warn(f"concrete {name}: {' and '.join(factors)} without a source; state where the numbers come from, as in "
              f"'{FACTOR_SOURCE}: tribometer after 60 min'")  # fmt: skip
     return source
+
+
+def _is_one(factor: object) -> bool:
+    """Return whether a factor, as it is written in a file, is 1, such as 1.0 or '100 %'."""
+    text = str(factor).strip()
+    try:
+        return float(text.rstrip("%")) == (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        return False
 
 
 def _merged(base: Mapping[str, Any], own: dict[str, Any]) -> dict[str, Any]:
