@@ -354,7 +354,7 @@ def test_twenty_kills_corrupt_nothing(tmp_path):
 @pytest.mark.thorough
 def test_resume_refuses_what_it_cannot_go_on_with(tmp_path):
     done = command("run", "--resume", tmp_path / "none")
-    assert done.returncode == 2 and "is not the folder of a run" in done.stderr
+    assert done.returncode == 2 and "does not exist" in done.stderr
     folder = tmp_path / "run"
     options = small_options(travel=0.02)
     done = command("run", "pipe", *options, "--out", folder, "--device", "cpu", "--quiet", "--no-usd", "--no-rerun")

@@ -279,7 +279,7 @@ def test_the_command(tmp_path):
         (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': must be a single value"),
         (("channel", "--spacing", "-1"), "spacing = -1.0"),
         (("channel", "--fresh", "1"), "--fresh = 1: takes no value"),
-        (("channel", "--trade", str(tmp_path)), "is not a folder made by 'warpcrete trade'"),
+        (("channel", "--trade", str(tmp_path)), "is not the folder of a trade-off study"),
     ):
         done = command("explain", *arguments, "--device", "cpu")
         said = done.stderr.strip().splitlines()

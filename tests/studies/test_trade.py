@@ -295,7 +295,7 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     for words, message in (
         (("--trade", folder), "has no effect without --accuracy"),
         (("--accuracy", "much", "--trade", folder), "must be a percentage"),
-        (("--accuracy", "5%", "--trade", tmp_path), "is not a folder made by 'warpcrete trade'"),
+        (("--accuracy", "5%", "--trade", tmp_path), "is not the folder of a trade-off study"),
     ):
         done = command("run", "channel", *words, *bare)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
