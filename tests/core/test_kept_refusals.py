@@ -189,7 +189,7 @@ def test_kept_refusals_of_scenes():
         "coarse flow with aggregates": lambda: scenes.stretch(spacing=0.02, length=0.3),
         "mortar with aggregates in a plane": lambda: replace(mortar, depth=0.0, round=False, sides={}, walls=()),
         "part without aggregates": lambda: replace(part, aggregate_fraction=0.0),
-        "part with wide aggregates": lambda: replace(part, aggregate_diameters=(0.02, 0.07)),
+        "part with wide aggregates": lambda: replace(part, gravity=0.0, aggregate_diameters=(0.02, 0.07)),
         "part with narrow aggregates": lambda: replace(part, aggregate_diameters=(0.014, 0.02)),
     }
     compare("scenes", cases)

@@ -11,7 +11,7 @@ from warpcrete import scenes
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.mps.part.forecast import dimensions
 from warpcrete.mps.part.layout import Frame, bore_distance, part_room
-from warpcrete.mps.part.scene import NO_SYMMETRY
+from warpcrete.mps.part.scene import SIMULATED_WHOLE
 from warpcrete.mps.part.simulation import PartSimulation
 
 FLOW = {"concrete": "no1", "flow": 0.0055, "gravity": 0.0, "unit": "horizontal", "diameter": 0.125, "straight": 0.15,
@@ -61,9 +61,10 @@ def test_a_bulge_on_one_side_is_simulated_where_it_lies(tmp_path):
     assert beside.is_half and above.is_half and not between.is_half
     assert abs(beside.orientation.axes[1]) == pytest.approx([0, 0, 1])
     assert abs(above.orientation.axes[1]) == pytest.approx([0, 1, 0])
-    assert not any(NO_SYMMETRY in each for scene in (beside, above) for each in scene.remarks)
-    assert f"{NO_SYMMETRY} by 5.2 mm, so the whole pipe is simulated" in between.remarks
-    assert dimensions(between) == "three, because the mesh is asymmetric by 5.2 mm"
+    assert not any(SIMULATED_WHOLE in each for scene in (beside, above) for each in scene.remarks)
+    reason = "the mesh differs from its mirror image in the plane of the pipe's axis by 5.2 mm"
+    assert reason + SIMULATED_WHOLE in between.remarks
+    assert dimensions(between) == f"three, because {reason}"
     assert part_room(between).cells[1] > 1.8 * part_room(beside).cells[1]
     results = [PartSimulation(scene, device="cpu").run()["pressure"] for scene in (beside, above)]
     assert results[0] == pytest.approx(results[1], rel=1e-3)
@@ -80,7 +81,7 @@ def test_a_remark_on_symmetry_follows_the_scene(tmp_path):
     scene = scenes.part(**FLOW, wall=path)
     again = replace(scene, spacing=0.012)
     whole = scenes.part(**FLOW, wall=path, symmetry="whole")
-    assert [sum(NO_SYMMETRY in each for each in one.remarks) for one in (scene, again, whole)] == [1, 1, 0]
+    assert [sum(SIMULATED_WHOLE in each for each in one.remarks) for one in (scene, again, whole)] == [1, 1, 0]
 
 
 @pytest.mark.parametrize("facets", [64, 37])

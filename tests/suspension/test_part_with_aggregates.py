@@ -107,14 +107,19 @@ def test_aggregates_enter_like_a_plug_and_none_is_lost(device):
 def test_a_few_aggregates_thicken_a_newtonian_mortar_as_theory_says(device, symmetry):
     """The gradient in straight pipe is that of a viscosity times 1 + 2.5 phi + 5.2 phi^2 (Batchelor & Green 1972)."""
     given = {"straight": 0.2, "spacing": 0.00525, "slip_viscosity": 1e6, "aggregate_fraction": 0.06, "duration": 0.2}
-    run = part(device, **given, symmetry=symmetry).run()
-    s, friction, fraction = (
-        np.array(run.result["profile"][name]["value"]) for name in ("place", "friction_ahead", "fraction")
-    )
-    inside = (s > 0.08) & (s < 0.32)
-    slope, phi = -np.polyfit(s[inside], friction[inside], 1)[0], fraction[inside].mean()
-    # Measured: 1.169 for the whole pipe, where the formula gives 1.186.
-    assert slope / run.scene.theory(0.0).pressure == pytest.approx(1 + 2.5 * phi + 5.2 * phi**2, rel=0.015)
+    ratios, expected = [], []
+    # Half of a pipe has so few aggregates that single arrangements differ by 6 %.
+    for seed in (1, 2, 3) if symmetry == "half" else (1,):
+        run = part(device, **given, symmetry=symmetry, seed=seed).run()
+        s, friction, fraction = (
+            np.array(run.result["profile"][name]["value"]) for name in ("place", "friction_ahead", "fraction")
+        )
+        inside = (s > 0.08) & (s < 0.32)
+        slope, phi = -np.polyfit(s[inside], friction[inside], 1)[0], fraction[inside].mean()
+        ratios.append(slope / run.scene.theory(0.0).pressure)
+        expected.append(1 + 2.5 * phi + 5.2 * phi**2)
+    # Measured: 1.169 for the whole pipe, where the formula gives 1.186, and a mean of 1.182 for half of it (1.183).
+    assert np.mean(ratios) == pytest.approx(np.mean(expected), rel=0.015)
 
 
 def test_no_aggregates_give_the_flow_of_a_plain_part():
@@ -272,7 +277,7 @@ def test_aggregates_and_their_images_are_drawn(device):
     surface = display.surface()
     stones = surface.fields["aggregate"] > 0
     assert np.count_nonzero(stones) % (2 * seen.sum()) == 0 and np.count_nonzero(stones) > 0
-    y = surface.vertices[stones][:, 2]
+    y = surface.vertices[stones][:, 1]
     assert y.min() == pytest.approx(-y.max(), abs=1e-6)
     assert len(display.surface(cut=True).vertices) < len(surface.vertices)
     assert len(np.unique(display.surface_colours(surface)[stones], axis=0)) == 1
@@ -333,3 +338,14 @@ def test_only_cut_cells_whose_faces_all_move_with_aggregates_are_marked(device):
         cover.shared.zero_()
         relax()
         assert np.flatnonzero(cover.shared.numpy()).tolist() == marked
+
+
+def test_the_plane_of_symmetry_is_vertical_where_aggregates_settle():
+    level, up = scenes.part(**PIPE), scenes.part(**PIPE | {"unit": "vertical"})
+    assert level.is_half and up.is_half and abs(level.orientation.axes[1, 2]) < 1e-9
+    assert abs(scenes.part(**PIPE | {"aggregate_fraction": 0.0}).orientation.axes[1, 2]) == 1  # no aggregate settles
+    bend = {"unit": "bend-level", "angle": 45.0, "elbow_radius": 0.12}
+    settling, weightless = scenes.part(**PIPE | bend), scenes.part(**PIPE | bend | {"gravity": 0.0})
+    assert not settling.is_half and weightless.is_half
+    assert any("aggregates settle across the plane" in remark for remark in settling.remarks)
+    assert not any("aggregates settle" in remark for scene in (level, weightless) for remark in scene.remarks)

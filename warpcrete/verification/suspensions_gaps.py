@@ -4,7 +4,7 @@ The solutions of Brenner (1961) are exact for an infinite mortar. The simulated 
 slows the spheres down by a few percent.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -102,34 +102,39 @@ WALL = {4: 0.07, 8: 0.07}
 WALL_EXCEPTIONS = {(4, 0.2, False): 0.15}
 
 
-def approach_case(device: str, precision: str) -> list[Row]:
-    """Compare the speed of two approaching spheres, at several gaps, with the exact solution of Brenner (1961)."""
+def _gap_rows(
+    speed: Callable[..., float],
+    accepted: Mapping[int, float],
+    exceptions: Mapping[tuple[int, float, bool], float],
+    device: str,
+    precision: str,
+) -> list[Row]:
+    """Return a row for each number of cells across a sphere, gap and shift: the speed, divided by the exact speed.
+
+    `speed` is :func:`approaching` or :func:`approaching_wall`. `accepted` holds the largest accepted error by the
+    number of cells across a sphere, and `exceptions` those of single cases.
+    """
     return [
         Row(
             f"{across} cells, gap of {gap:g} cells, {shift[0]:g} cells off",
-            approaching(across, gap, shift, device, precision),
+            speed(across, gap, shift, device, precision),
             1.0,
-            APPROACH_EXCEPTIONS.get((across, gap, shift[0] > 0), APPROACH[across]),
+            exceptions.get((across, gap, shift[0] > 0), accepted[across]),
         )
         for across in (4, 8)
         for gap in GAPS
         for shift in SHIFTS
     ]
+
+
+def approach_case(device: str, precision: str) -> list[Row]:
+    """Compare the speed of two approaching spheres, at several gaps, with the exact solution of Brenner (1961)."""
+    return _gap_rows(approaching, APPROACH, APPROACH_EXCEPTIONS, device, precision)
 
 
 def wall_case(device: str, precision: str) -> list[Row]:
     """Compare the speed of a sphere near a wall, at several gaps, with the exact solution of Brenner (1961)."""
-    return [
-        Row(
-            f"{across} cells, gap of {gap:g} cells, {shift[0]:g} cells off",
-            approaching_wall(across, gap, shift, device, precision),
-            1.0,
-            WALL_EXCEPTIONS.get((across, gap, shift[0] > 0), WALL[across]),
-        )
-        for across in (4, 8)
-        for gap in GAPS
-        for shift in SHIFTS
-    ]
+    return _gap_rows(approaching_wall, WALL, WALL_EXCEPTIONS, device, precision)
 
 
 GROUP = "aggregates in mortar"

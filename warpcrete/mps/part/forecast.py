@@ -39,7 +39,7 @@ def dimensions(scene: PartScene) -> str:
         return "three"
     if not scene.axis.is_plane:
         return "three, because the axis does not lie in one plane"
-    return f"three, because the mesh is asymmetric by {1e3 * scene.orientation.asymmetry:.2g} mm"
+    return f"three, because {scene.orientation.obstacle}"
 
 
 def _course(simulation: PartSimulation) -> Course:

@@ -33,8 +33,8 @@ AXIS_SAMPLES = 60
 """Number of points along the pipe's axis at which the bore inside a mesh is measured."""
 FLATNESS = 0.01
 """Largest distance by which the axis of a mesh may be moved into one plane, divided by the radius of the bore."""
-NO_SYMMETRY = "the mesh differs from its mirror image in the plane of the pipe's axis"
-"""Beginning of the remark on a mesh that is not symmetric."""
+SIMULATED_WHOLE = ", so the whole pipe is simulated"
+"""End of the remark on a part without the symmetry that `symmetry` asks for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +99,8 @@ class Section:
 class PartScene(Parametrised, PartSettings):
     """Part of a pump line, in which concrete enters at the start and leaves at the end; SI units, z points upwards."""
 
+    has_heavy_aggregates: ClassVar[bool] = False
+    """True if the concrete has aggregates that settle, so that a plane of symmetry must be vertical."""
     name: str
     concrete: Concrete
     axis: Axis
@@ -204,12 +206,13 @@ class PartScene(Parametrised, PartSettings):
         return s, radii
 
     def _found_orientation(self) -> Orientation:
-        """Return the orientation of the grid, and add a remark if a mesh has no symmetry that `symmetry` asks for."""
-        tested = self.inner if self.symmetry == "half" and self.axis.is_plane else None
-        found = orientation(self.axis, tested, self.radius, self.rounded_spacing)
-        remarks = [remark for remark in self.remarks if not remark.startswith(NO_SYMMETRY)]
-        if not found.is_symmetric:
-            remarks.append(f"{NO_SYMMETRY} by {1e3 * found.asymmetry:.2g} mm, so the whole pipe is simulated")
+        """Return the orientation of the grid, and add a remark if the symmetry that `symmetry` asks for is missing."""
+        asked = self.symmetry == "half" and self.axis.is_plane
+        heavy = asked and self.has_heavy_aggregates and self.gravity > 0
+        found = orientation(self.axis, self.inner if asked else None, self.radius, self.rounded_spacing, heavy)
+        remarks = [remark for remark in self.remarks if not remark.endswith(SIMULATED_WHOLE)]
+        if found.obstacle:
+            remarks.append(found.obstacle + SIMULATED_WHOLE)
         object.__setattr__(self, "remarks", tuple(remarks))
         return found
 
@@ -252,7 +255,7 @@ class PartScene(Parametrised, PartSettings):
     @property
     def is_half(self) -> bool:
         """True if only one half of the part is simulated, because the part has a plane of symmetry."""
-        return self.symmetry == "half" and self.axis.is_plane and self.orientation.is_symmetric
+        return self.symmetry == "half" and self.axis.is_plane and not self.orientation.obstacle
 
     @property
     def rounded_spacing(self) -> float:

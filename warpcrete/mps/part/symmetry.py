@@ -1,4 +1,4 @@
-"""Axes of the grid of a part of a pump line, and the test whether a bore from a mesh has a plane of symmetry."""
+"""Axes of the grid of a part of a pump line, and the test whether the flow has a plane of symmetry."""
 
 from dataclasses import dataclass
 
@@ -13,6 +13,8 @@ TOLERANCE_CELLS, TOLERANCE_RADIUS = 0.02, 0.002
 The limit is the larger of two lengths: TOLERANCE_CELLS times the width of a cell, and TOLERANCE_RADIUS times the radius
 of the bore. The second length accepts a round mesh of 64 facets around in any position.
 """
+LEVEL = 1e-3
+"""Largest vertical component of a unit vector that counts as horizontal."""
 SAMPLES_PER_CELL = 2
 """Number of points per cell width, along the axis and around it, at which the wall is compared with its mirror
 image."""
@@ -20,7 +22,7 @@ image."""
 
 @dataclass(frozen=True)
 class Orientation:
-    """Axes of the grid of a part, and whether the bore is symmetric about the plane of the first and the last axis."""
+    """Axes of the grid of a part, and whether the flow is symmetric about the plane of the first and the last axis."""
 
     axes: np.ndarray
     """Axes of the grid as rows, in the coordinates of the scene, shape (3, 3).
@@ -30,28 +32,35 @@ class Orientation:
     """
     asymmetry: float
     """Largest distance between the wall and its mirror image [m]; 0 for a round pipe without a mesh."""
-    is_symmetric: bool
-    """True if the asymmetry is so small that half of the bore represents the whole bore."""
+    obstacle: str = ""
+    """Reason why half of the part does not represent the whole part, or "" if it does."""
 
 
-def orientation(axis: Axis, inner: InnerSurface | None, radius: float, spacing: float) -> Orientation:
-    """Return the orientation of the grid in which the bore is symmetric, if there is one.
+def orientation(
+    axis: Axis, inner: InnerSurface | None, radius: float, spacing: float, heavy_aggregates: bool = False
+) -> Orientation:
+    """Return the orientation of the grid in which the flow is symmetric, if there is one.
 
-    The axes follow from the bends of `axis`. Along a straight axis, the grid may be turned by 90 degrees, because a
-    mesh may be symmetric about either of two planes. `radius` is the radius of the bore, and `spacing` is the width of
-    a cell [m].
+    The axes follow from the bends of `axis`. Along a straight axis, the grid may be turned by 90 degrees, because the
+    flow may be symmetric about either of two planes. `radius` is the radius of the bore, and `spacing` is the width of
+    a cell [m]. With `heavy_aggregates`, the plane of symmetry must be vertical, because aggregates settle.
     """
-    axes = _axes(axis)
+    axes, straight = _axes(axis), len(axis.hinges()) == 0
+    turned = np.stack([axes[1], -axes[0], axes[2]])
+    if heavy_aggregates and abs(axes[1, 2]) > LEVEL:
+        if not straight or abs(turned[1, 2]) > LEVEL:
+            return Orientation(axes, 0.0, "aggregates settle across the plane of the pipe's axis")
+        axes, straight = turned, False  # The other plane through the axis is not vertical.
     if inner is None:
-        return Orientation(axes, 0.0, True)
+        return Orientation(axes, 0.0)
     allowed, apart = max(TOLERANCE_CELLS * spacing, TOLERANCE_RADIUS * radius), spacing / SAMPLES_PER_CELL
-    one = inner.asymmetry(axes[1], apart)
-    if one > allowed and len(axis.hinges()) == 0:
-        turned = np.stack([axes[1], -axes[0], axes[2]])
+    asymmetry = inner.asymmetry(axes[1], apart)
+    if asymmetry > allowed and straight and not (heavy_aggregates and abs(turned[1, 2]) > LEVEL):
         other = inner.asymmetry(turned[1], apart)
         if other <= allowed:
-            return Orientation(turned, other, True)
-    return Orientation(axes, one, one <= allowed)
+            return Orientation(turned, other)
+    mirrored = f"the mesh differs from its mirror image in the plane of the pipe's axis by {1e3 * asymmetry:.2g} mm"
+    return Orientation(axes, asymmetry, mirrored if asymmetry > allowed else "")
 
 
 def _axes(axis: Axis) -> np.ndarray:

@@ -37,6 +37,8 @@ class BlockageSettings(Declared):
 class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
     """Mortar with rigid aggregates in a part of a pump line; `concrete` holds the constants of the mortar alone."""
 
+    has_heavy_aggregates: ClassVar[bool] = True
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.aggregate_fraction > 0:
