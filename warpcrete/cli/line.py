@@ -67,8 +67,10 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     given = line_inputs(line, settings)
     if settings["blocking"] is not None:
         if given.guessed:
-            raise click.UsageError(f"{_stated('blocking', settings)}: needs the file of a concrete; write a mix "
-                                   "file, and give it as --concrete")  # fmt: skip
+            raise click.UsageError(
+                f"{_stated('blocking', settings)}: needs the file of a concrete; write a mix "
+                "file, and give it as --concrete"
+            )
         out = out or next_folder("line")
     requested = simulate or method != "flow"
     at_once = theory or given.guessed or settings["fit"] is not None
@@ -79,8 +81,9 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     needed = () if settings["blocking"] is None else ("device", "threads")
     for name, usual in () if requested or unknown else FLOW_OPTIONS.items():
         if name not in needed and settings[name] != usual:
-            raise click.UsageError(f"{_stated(name, settings)}: has no effect without a simulation; add --simulate, or "
-                                   f"leave out --{name}")  # fmt: skip
+            raise click.UsageError(
+                f"{_stated(name, settings)}: has no effect without a simulation; add --simulate, or leave out --{name}"
+            )
     if requested or unknown:
         if _simulated(given, method, out, stop, settings, unless_known=not requested):
             raise SystemExit(CHECK_FAILED)
@@ -121,8 +124,10 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         found = line_by_theory(pipes, concrete, given.flow, out=out, stop=stop, fit=fit, **layer)
         said += lines_of(found, settings["practice"])
         if line is None:
-            said += ["", "bends, reducers and hoses are not counted; to count them, write a file (warpcrete line "
-                     "--help)"]  # fmt: skip
+            said += [
+                "",
+                "bends, reducers and hoses are not counted; to count them, write a file (warpcrete line --help)",
+            ]
         if given.guessed and settings["fit"] is None:
             said += ["", "a slump or spread alone says little about the slip layer: the parts of the mix give a better "
                      "estimate, which may differ much from this one (warpcrete mix --help)"]  # fmt: skip
@@ -143,8 +148,10 @@ def _check_rest(stated: str | None) -> None:
     """Refuse a time of rest that has no unit and is below `SHORTEST_REST`, because it is most likely in minutes."""
     number = amount("rest", stated, "s") if bare_number(stated) else 0.0
     if 0 < number < SHORTEST_REST:
-        raise click.UsageError(f"rest: {number:g} without a unit is {number:g} s; did you mean '{number:g} min'? For "
-                               f"seconds, write '{number:g} s'")  # fmt: skip
+        raise click.UsageError(
+            f"rest: {number:g} without a unit is {number:g} s; did you mean '{number:g} min'? For "
+            f"seconds, write '{number:g} s'"
+        )
 
 
 def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, Any]) -> list[str]:
@@ -170,8 +177,9 @@ def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]
     for rate in rates:
         band = line_by_theory(line, concrete, amount("flow", f"{rate} {unit}", "m3/s"), **layer).band()
         ends = f"{band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar"
-        found.append(f"- {rate} {unit}: {pressure_text(band.value)}; {ends}"
-                     f"{beside(line.customary, 'psi', band.low, band.high)}")  # fmt: skip
+        found.append(
+            f"- {rate} {unit}: {pressure_text(band.value)}; {ends}{beside(line.customary, 'psi', band.low, band.high)}"
+        )
     return found
 
 
@@ -199,12 +207,15 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 
     only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
     for name in changed(only_dem) if method == "flow" else ():
-        raise click.UsageError(f"{_stated(name, settings)}: has no effect with --method flow; use --method both, or "
-                               f"leave out --{name}")  # fmt: skip
+        raise click.UsageError(
+            f"{_stated(name, settings)}: has no effect with --method flow; use --method both, or leave out --{name}"
+        )
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
-        raise click.UsageError(f"{_stated(name, settings)}: has no effect with --method dem; use --method both, or "
-                               f"leave out --{name.replace('_', '-')}")  # fmt: skip
+        raise click.UsageError(
+            f"{_stated(name, settings)}: has no effect with --method dem; use --method both, or "
+            f"leave out --{name.replace('_', '-')}"
+        )
     for name in ("layer_factor", "coarse", "stiffer"):
         if settings[name] is not None:
             check_limit(name, settings[name], "")

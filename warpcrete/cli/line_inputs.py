@@ -85,8 +85,10 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
     guess = _guessed(settings, stone)
     name = guess.name if guess is not None else settings["concrete"] or given.concrete
     if name is None:
-        raise click.UsageError("concrete: is missing; set it in the file of the line, with --concrete no1 or a file, "
-                               "or with --slump '180 mm'")  # fmt: skip
+        raise click.UsageError(
+            "concrete: is missing; set it in the file of the line, with --concrete no1 or a file, "
+            "or with --slump '180 mm'"
+        )
     from_file = line is not None and settings["concrete"] is None
     with errors_in_file(line if from_file else None):
         mix = guess if guess is not None else mix_named(str(name))
@@ -114,8 +116,10 @@ def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
     """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise` next to a file."""
     for name in SHAPE:
         if settings[name] is not None:
-            raise click.UsageError(f"{name} = {settings[name]!r}: cannot be given together with the file of a line; "
-                                   f"leave out --{name}, or the file")  # fmt: skip
+            raise click.UsageError(
+                f"{name} = {settings[name]!r}: cannot be given together with the file of a line; "
+                f"leave out --{name}, or the file"
+            )
     return read_line(line)
 
 
@@ -147,8 +151,10 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
         return None
     if settings["concrete"] is not None:
         name, value = next(iter(cones.items()))
-        raise click.UsageError(f"{name} = {value!r}: cannot be given together with --concrete; state the {name} in the "
-                               "file of the concrete")  # fmt: skip
+        raise click.UsageError(
+            f"{name} = {value!r}: cannot be given together with --concrete; state the {name} in the "
+            "file of the concrete"
+        )
     entries: dict[str, Any] = {"density": DENSITY, **cones}
     if stone is not None:
         if stone < 2 * SMALLEST:

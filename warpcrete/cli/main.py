@@ -150,15 +150,17 @@ def view_run(run: Path, web: bool, bind: str) -> None:
     opened = viewer(run, web, bind)
     process = opened.start()
     if opened.in_browser and not web:
-        click.echo("note: this machine has no screen (DISPLAY is not set); open the following address in a browser",
-                   err=True)  # fmt: skip
+        click.echo(
+            "note: this machine has no screen (DISPLAY is not set); open the following address in a browser", err=True
+        )
     if opened.in_browser:
         click.echo(opened.address)
     raise SystemExit(process.wait())
 
 
-@cli.command("warm", context_settings={"ignore_unknown_options": True}, options_metavar="[--PARAMETER VALUE ...] "
-             "[OPTIONS]")  # fmt: skip
+@cli.command(
+    "warm", context_settings={"ignore_unknown_options": True}, options_metavar="[--PARAMETER VALUE ...] [OPTIONS]"
+)
 @click.argument("scene", type=Completed("scene_names"), nargs=-1)
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 def warm_command(scene: tuple[str, ...], device: str | None) -> None:
@@ -175,8 +177,9 @@ def warm_command(scene: tuple[str, ...], device: str | None) -> None:
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
               help="Precision of positions and forces")  # fmt: skip
-@click.option("--only", type=Completed("checked"), default="", help="Run only the cases whose name or group contains "
-              "this text")  # fmt: skip
+@click.option(
+    "--only", type=Completed("checked"), default="", help="Run only the cases whose name or group contains this text"
+)
 @click.option("--quick", is_flag=True, help="Leave out the cases that take longer than a few seconds")
 @click.option("--extremes", is_flag=True, help="Also run a matrix of scenes with extreme parameters")
 @click.option("--out", type=PATH, help="New folder for verification.md and verification.png")

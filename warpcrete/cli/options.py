@@ -53,8 +53,10 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
     for field in fields:
         name, default = field.name, field.default if field.default is not MISSING else None
         settings: dict[str, Any] = {
-            "default": default, "help": field.help, "show_default": default not in (None, ""),
-        }  # fmt: skip
+            "default": default,
+            "help": field.help,
+            "show_default": default not in (None, ""),
+        }
         if field.kind is bool:
             option = ParameterOption([f"{flag(name)}/--no-{flag(name)[2:]}", name], **settings)
         else:

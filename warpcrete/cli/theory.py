@@ -40,8 +40,10 @@ def fields() -> dict[str, Field]:
 
 def rise_option() -> ParameterOption:
     """Return the option `--rise`, the height of the pipe's end above its start, or its rise per length."""
-    text = ("Height of the pipe's end above its start, such as '60 ft'; a number without a unit is the height per "
-            "length: 1 for an upright pipe, 0 for a level one")  # fmt: skip
+    text = (
+        "Height of the pipe's end above its start, such as '60 ft'; a number without a unit is the height per "
+        "length: 1 for an upright pipe, 0 for a level one"
+    )
     option = ParameterOption(["--rise"], type=LENGTH, default="1", show_default=True, help=text)
     option.group = "Pipe."
     return option

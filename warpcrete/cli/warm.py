@@ -70,8 +70,10 @@ def _scenes_and_parameters(words: list[str], modules: dict[str, Any]) -> tuple[l
     _, options = parsed(words[len(names) :])
     for option, values in options.items():
         if len(values) > 1:
-            raise click.UsageError(f"--{option} = {', '.join(values)}: must be a single value; write the names of "
-                                   "scenes before the parameters")  # fmt: skip
+            raise click.UsageError(
+                f"--{option} = {', '.join(values)}: must be a single value; write the names of "
+                "scenes before the parameters"
+            )
     values = {name: parameter_values(modules[name], options) for name in names}[names[-1]]
     return names, {name: several[0] for name, several in values.items()}
 

@@ -301,8 +301,10 @@ class _ShortenedCopy:
         if bonded and min(bonded.values()) < 0.9 * alone:
             name = min(bonded, key=bonded.__getitem__)
             times = alone / bonded[name]
-            words.append(f"{name.removeprefix('contacts and ')}, which shorten the step to 1/{times:.3g} of that with "
-                         f"contacts alone, so {100 * (1 - 1 / times):.0f} % of the steps are due to them")  # fmt: skip
+            words.append(
+                f"{name.removeprefix('contacts and ')}, which shorten the step to 1/{times:.3g} of that with "
+                f"contacts alone, so {100 * (1 - 1 / times):.0f} % of the steps are due to them"
+            )
         else:
             words.append("contacts")
             undamped = found.get("contacts without dashpots", alone)
@@ -327,16 +329,18 @@ class _ShortenedCopy:
     def _undamped(self) -> float:
         """Return the stable step of the contacts' springs alone, without dashpots and bonds [s]."""
         scene = replace(
-            self.simulation.scene, contact=_springs(self.scene.contact),
+            self.simulation.scene,
+            contact=_springs(self.scene.contact),
             contacts={pair: _springs(law) for pair, law in self.scene.contacts.items()},
-        )  # fmt: skip
+        )
         one = self.simulation
         other = ElementSimulation(scene, device=str(self.device), precision=one.precision, threads=one.threads)
         other.state = restore_state(other.model, state_dict(one.state))
         if other.model.features.bonds:
             other.state.pairs.bond.zero_()
-        stepper = Stepper(other.model, other.state, scene.time_step, threads=one.threads,
-                          resumed=self.stepper.state_dict())  # fmt: skip
+        stepper = Stepper(
+            other.model, other.state, scene.time_step, threads=one.threads, resumed=self.stepper.state_dict()
+        )
         return stepper.estimate()
 
     def _smallest(self) -> str:
@@ -345,8 +349,10 @@ class _ShortenedCopy:
         table = self.simulation.state.table()
         least = int(np.argmin(table.mass))
         group = f" of {table.group[least]}" if table.group[least] else ""
-        return (f"the lightest bodies limit the step; their size is {1e3 * table.size[least]:.3g} mm{group} "
-                f"(spheres of {2e3 * spheres.min():.3g} mm or more)")  # fmt: skip
+        return (
+            f"the lightest bodies limit the step; their size is {1e3 * table.size[least]:.3g} mm{group} "
+            f"(spheres of {2e3 * spheres.min():.3g} mm or more)"
+        )
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
@@ -370,8 +376,9 @@ def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTab
         positions.append(p + local[0][here, None] * t + local[1][here, None] * a + local[2][here, None] * b)
         rows.append(here)
     row = np.concatenate(rows)
-    per_row = {name: getattr(table, name)[row] for name in ("orientation", "velocity", "spin", "size", "template",
-                                                            "density")}  # fmt: skip
+    per_row = {
+        name: getattr(table, name)[row] for name in ("orientation", "velocity", "spin", "size", "template", "density")
+    }
     return BodyTable(
         position=np.concatenate(positions), material=[table.material[k] for k in row],
         group=[table.group[k] for k in row], templates=table.templates, **per_row,

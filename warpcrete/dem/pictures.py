@@ -17,7 +17,7 @@ from ..core.drawing.style import (
     new_figure,
     open_frame,
     rgb,
-)  # fmt: skip
+)
 from ..core.errors import refuse
 from ..core.units import number
 from ..geometry.rotation import rotate
@@ -148,8 +148,9 @@ def plot_strokes(run: ElementRun) -> Any:
         begin = stop * stops.period + stops.stroke_time
         if begin < time[-1]:
             axes.axvspan(begin, min(begin + stops.pause, time[-1]), color="0.92", zorder=0)
-            axes.text(begin + 0.5 * stops.pause, 0.02, "stop", color="0.45", ha="center",
-                      transform=axes.get_xaxis_transform())  # fmt: skip
+            axes.text(
+                begin + 0.5 * stops.pause, 0.02, "stop", color="0.45", ha="center", transform=axes.get_xaxis_transform()
+            )
     for stroke, each in enumerate(strokes_of(run.scene.pipe, run.series["time"])):
         top = int(np.flatnonzero(each.moving)[np.argmax(pressure[each.moving])])
         axes.plot(time[top], pressure[top], "+", color=rgb(SECOND), markersize=11, markeredgewidth=2,

@@ -153,8 +153,9 @@ class Course:
             refuse(f"{field}: to", way, f"must be one of {', '.join(WAYS)}", example)
         one_of(f"{field}: to", way, WAYS)
         left = np.cross(UP, self.heading)
-        towards = {"up": UP, "down": -UP, "left": left, "right": -left, "level": self.heading,
-                   "back": -self.heading}[str(way)]  # fmt: skip
+        towards = {"up": UP, "down": -UP, "left": left, "right": -left, "level": self.heading, "back": -self.heading}[
+            str(way)
+        ]
         across = towards - (towards @ self.tangent) * self.tangent
         if np.linalg.norm(across) < 1e-6:
             problem = "is the direction that the line already has, or the opposite of it"
@@ -345,6 +346,8 @@ def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
     layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
     positive(f"{field}: layer", layer, "")
     if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:
-        warn(f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
-             "resistance of a pipe; write per cent with the sign, as in '80 %'")  # fmt: skip
+        warn(
+            f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
+            "resistance of a pipe; write per cent with the sign, as in '80 %'"
+        )
     return layer

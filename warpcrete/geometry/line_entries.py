@@ -56,13 +56,15 @@ WITHOUT_ENTRIES = ("valve",)
 """Kinds of pipeline parts all of whose entries are optional, so that a file may contain just the name of the part."""
 PART_HINTS = {
     **dict.fromkeys(("pipe", "level", "horizontal", "length"), "write 'straight: 10 m'"),
-    **dict.fromkeys(("vertical", "riser", "rise", "up"),
-                    "write 'bend: up' and then 'straight: 10 m', or 'begin: up' for a line that starts upwards"),
+    **dict.fromkeys(
+        ("vertical", "riser", "rise", "up"),
+        "write 'bend: up' and then 'straight: 10 m', or 'begin: up' for a line that starts upwards",
+    ),
     "down": "write 'bend: down' and then 'straight: 10 m'",
     **dict.fromkeys(("elbow", "curve", "arc"), "write 'bend: up', or 'bend: {to: up, angle: 45}'"),
     **dict.fromkeys(("taper", "cone", "reduction"), "write 'reducer: {to: 100 mm, length: 1 m}'"),
     **dict.fromkeys(("rubber", "tip", "end_hose", "flexible"), "write 'hose: 5 m'"),
-}  # fmt: skip
+}
 """Corrections for words that users write instead of a kind of part."""
 STATED = {
     "factor": (

@@ -167,6 +167,7 @@ class PipeLine:
         narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:
             stone, bore = (both(self.customary, "mm", size) for size in (self.largest_stone, narrow))
-            found.append(f"stones of {stone} in a bore of {bore} may block: "
-                         f"the bore is narrower than {BLOCKING_RATIO:g} of them")  # fmt: skip
+            found.append(
+                f"stones of {stone} in a bore of {bore} may block: the bore is narrower than {BLOCKING_RATIO:g} of them"
+            )
         return found

@@ -164,8 +164,10 @@ def stone_in_bore(
     flowing = mix is not None and (mix.spread or 0) >= SELF_COMPACTING
     limit = ROUNDED if round_ones and not flowing else CRUSHED
     kind = "rounded" if round_ones else "crushed" if mix is not None and mix.shape is not None else "unknown shape"
-    words = (f"a stone of {largest} in a bore of {both(us, 'mm', bore)} has the ratio {ratio:.3g}; {SAFE:g} is safe, "
-             f"and {limit:.2g} is the limit ({kind}{', self-compacting' if flowing else ''})")  # fmt: skip
+    words = (
+        f"a stone of {largest} in a bore of {both(us, 'mm', bore)} has the ratio {ratio:.3g}; {SAFE:g} is safe, "
+        f"and {limit:.2g} is the limit ({kind}{', self-compacting' if flowing else ''})"
+    )
     widths = f"use a bore of {wide}, or stones up to {both(us, 'mm', SAFE * bore, digits=3)}"
     if ratio > limit * (1 + 1e-9):
         return RuleVerdict(name, "blocks", words, widths, f"{ACI}; {SOCIETY}")
@@ -205,9 +207,11 @@ def paste(mix: MixEntries) -> RuleVerdict:
     def shown(*volumes: float) -> str:
         return both(mix.customary, "l/m3", *volumes, digits=3)
 
-    words = (f"{shown(mix.paste_share)} of powder and water; the voids between {shown(mix.sand_and_stone)} "
-             f"of aggregate have {shown(*needed)} (void content {100 * low:.3g} to "
-             f"{100 * high:.3g} %, {measured})")  # fmt: skip
+    words = (
+        f"{shown(mix.paste_share)} of powder and water; the voids between {shown(mix.sand_and_stone)} "
+        f"of aggregate have {shown(*needed)} (void content {100 * low:.3g} to "
+        f"{100 * high:.3g} %, {measured})"
+    )
     if mix.paste_share > needed[1]:
         return RuleVerdict(name, "fine", words, "", source)
     more = f"add {both(mix.customary, 'l/m3', needed[1] - mix.paste_share, digits=2)} of paste or improve the grading"
@@ -226,12 +230,16 @@ def sand_share(mix: MixEntries) -> RuleVerdict:
     if share is None:
         advice = "add 'parts' to the mix, with separate entries for sand and gravel"
         if mix.parts:
-            advice = ("use separate entries for sand and gravel in 'parts', or state the volume share of the gravel, "
-                      "as in 'aggregate: 36 %'")  # fmt: skip
+            advice = (
+                "use separate entries for sand and gravel in 'parts', or state the volume share of the gravel, "
+                "as in 'aggregate: 36 %'"
+            )
         return RuleVerdict(name, "unknown", "the share of sand in the aggregate is not known", advice, source)
-    words = (f"{100 * share:.3g} % of the aggregate; {JGJ} requires {100 * SAND_SHARES[0]:g} to "
-             f"{100 * SAND_SHARES[1]:g} %; concretes with {100 * PUMPED_SAND_SHARES[0]:.3g} to "
-             f"{100 * PUMPED_SAND_SHARES[1]:g} % have been pumped")  # fmt: skip
+    words = (
+        f"{100 * share:.3g} % of the aggregate; {JGJ} requires {100 * SAND_SHARES[0]:g} to "
+        f"{100 * SAND_SHARES[1]:g} %; concretes with {100 * PUMPED_SAND_SHARES[0]:.3g} to "
+        f"{100 * PUMPED_SAND_SHARES[1]:g} % have been pumped"
+    )
     if share < PUMPED_SAND_SHARES[0] - 1e-9:
         return RuleVerdict(name, "risky", words, "replace some of the stones by sand", source)
     if share > PUMPED_SAND_SHARES[1] + 1e-9:
@@ -376,8 +384,10 @@ def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
     answer = ANSWERS[worst(verdicts)]
     if worst(verdicts) == "unknown" and 2 * unknown > len(verdicts):
         answer = TOO_LITTLE
-    return [f"will it block? {answer} ({', '.join(counts)}{f'; {where}' if where else ''})",
-            *(line for each in order for line in each.text.splitlines())]  # fmt: skip
+    return [
+        f"will it block? {answer} ({', '.join(counts)}{f'; {where}' if where else ''})",
+        *(line for each in order for line in each.text.splitlines()),
+    ]
 
 
 def rule_records(verdicts: Sequence[RuleVerdict]) -> dict[str, Any]:

@@ -74,13 +74,15 @@ CLASSES = {"S1": (10, 40), "S2": (50, 90), "S3": (100, 150), "S4": (160, 210), "
 """Smallest and largest value of each class of slump (S) and of spread (SF) in EN 206 [mm]. The class S5 has no upper
 limit; 290 mm is the largest slump that a mix may have."""
 OTHER_NAMES = {
-    **dict.fromkeys(("w c", "w b", "w cm", "wc", "wb", "water cement", "water cement ratio", "water binder ratio",
-                     "w c ratio"), "water_binder"),
+    **dict.fromkeys(
+        ("w c", "w b", "w cm", "wc", "wb", "water cement", "water cement ratio", "water binder ratio", "w c ratio"),
+        "water_binder",
+    ),
     **dict.fromkeys(("slump flow", "slumpflow", "flow"), "spread"),
     **dict.fromkeys(("consistency", "consistence", "consistency class", "consistence class", "slump class"), "slump"),
     **dict.fromkeys(("air content", "entrained air"), "air"),
     **dict.fromkeys(("unit weight", "bulk density"), "density"),
-}  # fmt: skip
+}
 """Wrong names that users may write for entries of a mix, each mapped to the correct name, which the error message
 states. The wrong names are in lower case, with single spaces between words."""
 NO_ENTRIES = {

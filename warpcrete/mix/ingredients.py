@@ -290,8 +290,10 @@ def _check_stated(name: str, value: Any) -> None:
     if value is None or isinstance(value, bool) or (admixture and text and not re.search(r"\d", text)):
         hints = []
         if admixture:
-            hints = ["state the amount, as in '3 kg/m3' or '80 oz/yd3'; if you do not know it, state a usual amount, "
-                     "because it has little effect on the pump pressure"]  # fmt: skip
+            hints = [
+                "state the amount, as in '3 kg/m3' or '80 oz/yd3'; if you do not know it, state a usual amount, "
+                "because it has little effect on the pump pressure"
+            ]
         if value is None:
             hints.append("a comma inside braces {...} begins another ingredient: put a name with a comma in quotes")
         refuse(field, value, "has no amount", "; ".join(hints))
@@ -342,8 +344,10 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
         else:
             filled += mass / density
     if 0 <= POSSIBLE_VOLUMES[1] - filled < unknown / DENSEST:
-        problem = (f"contain {unknown:.4g} kg/m3 of unknown density, for which there is no room, because the other "
-                   f"parts fill {filled:.3f} m3 of 1 m3")  # fmt: skip
+        problem = (
+            f"contain {unknown:.4g} kg/m3 of unknown density, for which there is no room, because the other "
+            f"parts fill {filled:.3f} m3 of 1 m3"
+        )
         refuse("mix parts", ", ".join(parts), problem, "check the masses, and remove entries that are no ingredients")
     if air is not None:
         gap = 1 - filled - air

@@ -185,8 +185,10 @@ def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
 
 
 def _pair_of(eta: float, tau: float, low: float, high: float, way: str, source: str) -> Pair:
-    return (Figure("slip viscosity", eta, low * eta, high * eta, "Pa s/m", way, source),
-            Figure("slip yield", tau, low * tau, high * tau, "Pa", way, source))  # fmt: skip
+    return (
+        Figure("slip viscosity", eta, low * eta, high * eta, "Pa s/m", way, source),
+        Figure("slip yield", tau, low * tau, high * tau, "Pa", way, source),
+    )
 
 
 def _pair(
@@ -204,8 +206,10 @@ def _pair(
     concrete without stones.
     """
     tau, low, high = (min(each, concrete.yield_stress) for each in stress)
-    return (Figure("slip viscosity", value, *ends, "Pa s/m", way, source),
-            Figure("slip yield", tau, low, high, "Pa", way, source))  # fmt: skip
+    return (
+        Figure("slip viscosity", value, *ends, "Pa s/m", way, source),
+        Figure("slip yield", tau, low, high, "Pa", way, source),
+    )
 
 
 def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
@@ -214,8 +218,10 @@ def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
     Its uncertainty band covers both the error of the fit and the usual error of this kind of measurement.
     """
     found = []
-    for name, value, error, unit in (("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
-                                     ("slip yield", fit.offset, fit.offset_error, "Pa")):  # fmt: skip
+    for name, value, error, unit in (
+        ("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
+        ("slip yield", fit.offset, fit.offset_error, "Pa"),
+    ):
         line = of_line(name, value, line_uncertainty(error, count, value, 0.0), unit, way, count)
         low, high = _factors(None, pipe)
         found.append(Figure(name, value, min(line.low, low * value), max(line.high, high * value), unit, way,

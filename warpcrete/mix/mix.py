@@ -276,8 +276,10 @@ def factors_text(factors: tuple[float, float], source: str) -> str:
     `source` is the source of the factors; empty if the file states none.
     """
     origin = f"source: {source}" if source else "no source stated"
-    return (f"the factors in the section 'flow', which multiply yield stresses by {factors[0]:g} and viscosities by "
-            f"{factors[1]:g} ({origin})")  # fmt: skip
+    return (
+        f"the factors in the section 'flow', which multiply yield stresses by {factors[0]:g} and viscosities by "
+        f"{factors[1]:g} ({origin})"
+    )
 
 
 def mix_of(
@@ -306,8 +308,10 @@ def mix_of(
             # only. For a law whose flow curve is not straight, the mix must state the viscosity itself.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
-                raise SceneError("mix viscosity: is missing, but must be stated if the mix has a flow index or a "
-                                 "quadratic viscosity; add 'viscosity' to the same section")  # fmt: skip
+                raise SceneError(
+                    "mix viscosity: is missing, but must be stated if the mix has a flow index or a "
+                    "quadratic viscosity; add 'viscosity' to the same section"
+                )
         if tells:
             bulk[wanted], more = reconciled(tells)
             remarks += more
@@ -328,11 +332,15 @@ def mix_of(
         remarks.append(GAUGES_CONTRADICT)
     if told.sand_and_stone is not None and given.get("air") is None:
         left = both(told.customary, "l/m3", told.sand_and_stone, digits=3)
-        remarks.append(f"the mix states no air content: {100 * USUAL_AIR:g} % is assumed, which leaves {left} for sand "
-                       "and stones; state it as in 'air: 2 %'")  # fmt: skip
+        remarks.append(
+            f"the mix states no air content: {100 * USUAL_AIR:g} % is assumed, which leaves {left} for sand "
+            "and stones; state it as in 'air: 2 %'"
+        )
     if told.sieve is None and told.sizes is None:
-        remarks.append("the mix has no sieve curve: simulations with discrete elements use the sizes that the scene "
-                       "states, by default 5 to 20 mm")  # fmt: skip
+        remarks.append(
+            "the mix has no sieve curve: simulations with discrete elements use the sizes that the scene "
+            "states, by default 5 to 20 mm"
+        )
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks), others)
 
 

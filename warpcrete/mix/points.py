@@ -22,9 +22,11 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
     found = []
     for name, unit in columns.items():
         if name not in places:
-            example = "flow [m3/h],pressure [bar]" if columns is PUMPED else ",".join(
-                f"{each} [{its}]" for each, its in columns.items()
-            )  # fmt: skip
+            example = (
+                "flow [m3/h],pressure [bar]"
+                if columns is PUMPED
+                else ",".join(f"{each} [{its}]" for each, its in columns.items())
+            )
             refuse(field, str(path), f"has no column {name!r}", f"write the first line in the form '{example}'")
         place, own = places[name]
         found.append([])

@@ -155,8 +155,10 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
     stones = [name for name in masses if is_coarse(name) or unusual_stones({name: 0.0}) is not None]
     for number in (number for name in stones if sizes_with_unit(name) is None for number in size_numbers(name)):
         if number not in SIZE_NUMBERS:
-            warn(f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or state "
-                 "the sizes of the stones as 'sizes'")  # fmt: skip
+            warn(
+                f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or state "
+                "the sizes of the stones as 'sizes'"
+            )
     sizes = [found for name in stones if (found := named_sizes(name)) is not None]
     return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 
@@ -335,8 +337,9 @@ def _by_volume(parts: Mapping[str, Any], load: float | None) -> dict[str, Any]:
              if isinstance(value, str) and (found := PER_CEMENT.fullmatch(value.strip()))}  # fmt: skip
     found = dict(parts)
     if dosed:
-        cement = {str(name): mass_per_volume(str(name), value, load) for name, value in parts.items()
-                  if is_cement(str(name))}  # fmt: skip
+        cement = {
+            str(name): mass_per_volume(str(name), value, load) for name, value in parts.items() if is_cement(str(name))
+        }
         pounds = sum(cement.values()) / amount("cement", "1 lb/yd3", "kg/m3")
         if pounds > 0:
             found |= {name: f"{float(text[1]) * pounds / 100:.6g} oz/yd3" for name, text in dosed.items()}

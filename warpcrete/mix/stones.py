@@ -160,8 +160,10 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
     example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
     if not isinstance(given, Mapping) or len(given) < 2:
         refuse("mix sieve", given, "must have two or more openings, each with the share that passes", example)
-    opened = {amount("mix sieve: opening", f"{key} mm" if bare_number(key) else key, "m"): value
-              for key, value in given.items()}  # fmt: skip
+    opened = {
+        amount("mix sieve: opening", f"{key} mm" if bare_number(key) else key, "m"): value
+        for key, value in given.items()
+    }
     widest = max(opened)
     if widest > COARSEST:
         problem = f"must be at most {1e3 * COARSEST:g} mm"

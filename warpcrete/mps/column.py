@@ -214,9 +214,11 @@ def column_scene(
     given = replace(given, ends=given.ends_for(concrete, bulk, flow, dimensions))
     check_velocity("flow", flow, flow / area)
     if aggregates is not None and (slip := _slip_share(concrete, given, bulk, flow, dimensions)) < MIN_SLIP_RATIO:
-        warn(f"aggregates: by theory, the slip velocity is {100 * slip:.0f} % of the mean velocity, but a column of "
-             f"particles needs {100 * MIN_SLIP_RATIO:.0f} % to keep its volume and its balance of forces; leave out "
-             "'aggregates' to simulate one phase on a grid")  # fmt: skip
+        warn(
+            f"aggregates: by theory, the slip velocity is {100 * slip:.0f} % of the mean velocity, but a column of "
+            f"particles needs {100 * MIN_SLIP_RATIO:.0f} % to keep its volume and its balance of forces; leave out "
+            "'aggregates' to simulate one phase on a grid"
+        )
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
     return FluidScene(
         name=name,
@@ -296,8 +298,9 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         return {"finished": (False, "the run has no measurement after the start")}
     usual = TWO_PHASE_ACCURACY if two else ACCURACY[scene.dimensions]
     limit = usual if scene.tolerated_error is None else scene.tolerated_error
-    wall_limit, profile_limit = (max(limit if limit > usual else 0.0, each)
-                                 for each in (WALL_ACCURACY[two], PROFILE_ACCURACY))  # fmt: skip
+    wall_limit, profile_limit = (
+        max(limit if limit > usual else 0.0, each) for each in (WALL_ACCURACY[two], PROFILE_ACCURACY)
+    )
     pressure, slip, wall = (result[f"{name}_error"] for name in ("pressure", "slip_velocity", "wall_stress"))
     balance = result["force_balance_error"]
     found = {
@@ -305,7 +308,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "wall's stress": (abs(wall) < wall_limit, f"{100 * wall:+.2f} % off theory"),
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
-    }  # fmt: skip
+    }
     # The closed forms assume the same yield stress everywhere, but the yield stress of thixotropic concrete varies with
     # its structure. Pressure and wall stress are therefore not compared with the closed forms.
     if scene.is_structured:
@@ -347,8 +350,9 @@ def plug_restart_state(scene: FluidScene) -> Steady:
     """
     concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
     stress = float(concrete.layer_law.stress(scene.velocity))
-    return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
-                            scene.form)  # fmt: skip
+    return steady_of_stress(
+        replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress, scene.form
+    )
 
 
 def flow_trading(dimensions: int) -> Trading:

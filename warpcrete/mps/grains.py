@@ -106,7 +106,8 @@ def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
         c = direction @ axis.T
         # The first term deforms the circle or ball into an oval, the second makes one end thicker as in an egg, and the
         # third gives it three corners.
-        return 1 + strength * (parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (
-            4 * c[:, 2] ** 3 - 3 * c[:, 2]))  # fmt: skip
+        return 1 + strength * (
+            parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (4 * c[:, 2] ** 3 - 3 * c[:, 2])
+        )
 
     return radius

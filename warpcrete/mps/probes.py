@@ -130,7 +130,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
         "momentum": momentum,
         "viscosity_iterations": outcomes["viscosity"]["iterations"],
         "pressure_iterations": outcomes["pressure"]["iterations"],
-    }  # fmt: skip
+    }
     return row | aggregate_fractions(flow, snap)
 
 

@@ -53,14 +53,17 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
         scenes = rrb.Vertical(scenes, *views, row_shares=[8, *(1 for _ in views)])
     # The viewer's own legends cover the curves, so titles name the colours instead.
     hidden = rrb.PlotLegend(visible=False)
-    curves = [rrb.TimeSeriesView(name=plot_title(plot), origin=plot.path, plot_legend=hidden)
-              for plot in display.plots()]  # fmt: skip
+    curves = [
+        rrb.TimeSeriesView(name=plot_title(plot), origin=plot.path, plot_legend=hidden) for plot in display.plots()
+    ]
     curves += [
         rrb.BarChartView(
             name=explained(each.title, [(curve.name, curve.colour) for curve in each.curves]),
-            origin=f"profile/{each.path}", plot_legend=hidden,
-        ) for each in display.profiles()
-    ]  # fmt: skip
+            origin=f"profile/{each.path}",
+            plot_legend=hidden,
+        )
+        for each in display.profiles()
+    ]
     speed = min(1.0, duration / MIN_PLAY_TIME)
     return rrb.Blueprint(
         rrb.Horizontal(scenes, rrb.Vertical(*curves), column_shares=[3, 2]),
@@ -202,8 +205,9 @@ def cut_walls(display: Display) -> list[DrawnWall]:
         # Transform the cutting plane to the wall's own coordinate frame.
         normal, place = rotate(
             np.broadcast_to(orientation, (2, 4)),
-            np.array([[0.0, 1.0, 0.0], np.array([0.0, display.cut, 0.0]) - position]), inverse=True,
-        )  # fmt: skip
+            np.array([[0.0, 1.0, 0.0], np.array([0.0, display.cut, 0.0]) - position]),
+            inverse=True,
+        )
         depth = (wall.vertices - place) @ normal
         if depth.min() < -FLAT and depth.max() > FLAT:
             vertices, faces, _ = slice_faces_plane(wall.vertices.astype(float), wall.faces, normal, place)

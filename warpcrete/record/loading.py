@@ -67,7 +67,7 @@ def load(folder: Path | str) -> Run:
             f"'{folder}': "
             + _not_a_run(folder)
             + (f"; its runs are in {', '.join(studies[:3])}{' ...' * (len(studies) > 3)}" if studies else "")
-        )  # fmt: skip
+        )
     record = read_record(folder / "scene.json")
     scene: Any = SimpleNamespace(
         name=record.get("scene"), caption=record.get("scene"), parameters=record.get("parameters")
@@ -140,11 +140,14 @@ def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:
     if not changed:
         return
     if not record.get("parameters"):
-        raise RunFolderError(f"'{path}': its scene was built in Python, not with a scene function; repeat or "
-                             "resume the run in Python")  # fmt: skip
-    raise RunFolderError(f"'{path}': the scene was changed in Python ({', '.join(changed)}) after a function such as "
-                         "scenes.pipe() had built it, so the parameters in this file do not describe it; repeat or "
-                         "resume the run in Python")  # fmt: skip
+        raise RunFolderError(
+            f"'{path}': its scene was built in Python, not with a scene function; repeat or resume the run in Python"
+        )
+    raise RunFolderError(
+        f"'{path}': the scene was changed in Python ({', '.join(changed)}) after a function such as "
+        "scenes.pipe() had built it, so the parameters in this file do not describe it; repeat or "
+        "resume the run in Python"
+    )
 
 
 def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -24,8 +24,9 @@ def _ratio(k: Outcome) -> float | None:
 
 def _ratio_of_slow_flow(k: Outcome) -> float:
     concrete, size = k.concrete, k.size
-    near, far, _ = box_at_rest(k.whole, size["length"], size["width"], concrete.yield_stress, concrete.density,
-                               k.gravity)  # fmt: skip
+    near, far, _ = box_at_rest(
+        k.whole, size["length"], size["width"], concrete.yield_stress, concrete.density, k.gravity
+    )
     return far / near
 
 

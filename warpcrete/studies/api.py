@@ -48,8 +48,9 @@ def study(
         if isinstance(values, Mapping) and suggested(key, ["vary"]):
             refuse(key, values, "is not a parameter", suggested(key, ["vary"]))
     if vary is None:
-        raise SceneError("vary: is missing; name the parameters and their values, for example "
-                         'vary={"velocity": [0.3, 0.5]}')  # fmt: skip
+        raise SceneError(
+            'vary: is missing; name the parameters and their values, for example vary={"velocity": [0.3, 0.5]}'
+        )
     if not isinstance(vary, Mapping):
         refuse("vary", vary, "must map each parameter to a list of values", 'for example vary={"velocity": [0.3, 0.5]}')
     for key, values in vary.items():

@@ -321,8 +321,9 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
         if name in found and not any(field.of_kind(CompositeRule)):
             used = [repr(field.converted(value, name)) for value in found[name]]
             if len(set(used)) < len(used):
-                refuse(name, found[name], "must be one or more values that are all different",
-                       "leave out repeated values")  # fmt: skip
+                refuse(
+                    name, found[name], "must be one or more values that are all different", "leave out repeated values"
+                )
     return found
 
 

@@ -131,8 +131,9 @@ class _Worker:
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", START_CODE, json.dumps([str(path) for path in sys.path])],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            )  # fmt: skip
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
         except OSError as error:
             raise NoWorker(
                 f"no worker process can be started: {error}; run without worker processes, with 'processes' = 1"

@@ -60,11 +60,13 @@ def aggregates_within(
             found = _placed(scene, fewer, low, high, distance, rng, periodic, draw)
         count, part = (0, 0.0) if found is None else (len(fewer), float(np.sum(fewer**3)) / whole)
         refuse(
-            "aggregate_fraction", scene.aggregate_fraction,
+            "aggregate_fraction",
+            scene.aggregate_fraction,
             f"is too large: only {count} of {len(radii)} aggregates could be placed without overlaps",
-            f"use {at_most(part * scene.aggregate_fraction, 2)} or less" if count
+            f"use {at_most(part * scene.aggregate_fraction, 2)} or less"
+            if count
             else "use smaller aggregates or a wider box",
-        )  # fmt: skip
+        )
     return found
 
 
@@ -194,8 +196,10 @@ def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.n
             if abs(filled / wanted - 1) > MAX_DEVIATION:
                 placed = scene.simulated_fraction * filled / wanted
                 goal = f" instead of {scene.simulated_fraction:.3g}, which the cells resolve" if curve else ""
-                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: only whole aggregates can be placed; their "
-                     f"number is {len(radii)}, with a volume fraction of {placed:.3g}{goal}")  # fmt: skip
+                warn(
+                    f"aggregate_fraction = {scene.aggregate_fraction:g}: only whole aggregates can be placed; their "
+                    f"number is {len(radii)}, with a volume fraction of {placed:.3g}{goal}"
+                )
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
         filled += own

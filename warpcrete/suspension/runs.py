@@ -69,12 +69,16 @@ class AggregateRun(FlowRun):
         """
         found = {"count": self.flow.aggregates.count, "fraction": self.fraction}
         if self.scene.sieve is not None:
-            found |= {"stated_fraction": self.scene.aggregate_fraction,
-                      "smallest": quantity(self.scene.diameters[0], "m")}  # fmt: skip
+            found |= {
+                "stated_fraction": self.scene.aggregate_fraction,
+                "smallest": quantity(self.scene.diameters[0], "m"),
+            }
         if self.flow.coupled.outer == 0:
             return {"aggregates": found}
         last = last_balance(self.flow)
         momentum = {
-            "change": quantity(last.momentum, "N"), "forces": quantity(last.impulse, "N"), "error": last.momentum_error
-        }  # fmt: skip
+            "change": quantity(last.momentum, "N"),
+            "forces": quantity(last.impulse, "N"),
+            "error": last.momentum_error,
+        }
         return {"aggregates": found, "momentum_balance": momentum}

@@ -151,14 +151,18 @@ class AggregateParameters(Declared):
     aggregate_smallest: Annotated[
         float | None,
         "Smallest diameter of the simulated aggregates [m], at least three cells; default: such that their narrowest "
-            "side is four cells wide",
-        Above(), RANGED, USED_BY_AGGREGATES,
-    ] = None  # fmt: skip
+        "side is four cells wide",
+        Above(),
+        RANGED,
+        USED_BY_AGGREGATES,
+    ] = None
     aggregate_largest: Annotated[
         float | None,
         "Largest diameter of the simulated aggregates [m]; default: the smallest",
-        Above(), RANGED, USED_BY_AGGREGATES,
-    ] = None  # fmt: skip
+        Above(),
+        RANGED,
+        USED_BY_AGGREGATES,
+    ] = None
     aggregate_shapes: Annotated[
         str,
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of "

@@ -44,9 +44,11 @@ class SuspensionSimulation(AggregateRun, FreeSimulation):
         layout = free_layout(scene)
         self.volume = float(np.sum(layout.mass)) * layout.volume
         return SuspensionFlow(
-            GridState(scene, layout, self.device, self.precision), placed_aggregates(scene, layout),
-            roughness=scene.roughness, friction=scene.friction,
-        )  # fmt: skip
+            GridState(scene, layout, self.device, self.precision),
+            placed_aggregates(scene, layout),
+            roughness=scene.roughness,
+            friction=scene.friction,
+        )
 
     def measured(self) -> dict[str, float]:
         """Measure the flow and return the results as a row of the time series."""

@@ -287,8 +287,9 @@ def funnel_time(
     # difference is zero.
     left = []
     for speed in speeds:
-        stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,
-                                     quadratic_viscosity)  # fmt: skip
+        stress, radius = duct_stress(
+            speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index, quadratic_viscosity
+        )
         taken = np.cumsum(stress / radius) * step + 0.5 * density * speed**2
         left.append(density * gravity * step * np.arange(1, SLICES_FUNNEL + 1) - taken)
     time = 0.0

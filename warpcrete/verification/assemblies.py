@@ -33,13 +33,15 @@ def cloud(device, precision) -> list[Row]:
     spins = random.normal(scale=60.0, size=grid.shape)
     shapes = reference()
     scene = Scene(
-        name="cloud", duration=1.0, gravity=(0, 0, 0),
+        name="cloud",
+        duration=1.0,
+        gravity=(0, 0, 0),
         contact=Contact(effective_modulus=1e6, friction=0.4, shear_damping_ratio=0.2),
         bodies=tuple(
             Bodies(positions=places[k::4], sizes=0.009, template=shapes[k], velocities=speeds[k::4], spins=spins[k::4])
             for k in range(4)
         ),
-    )  # fmt: skip
+    )
     stepper = start(scene, device, precision)
     before = _momenta(stepper.state)
     stepper.advance(0.05)
@@ -218,12 +220,14 @@ def repose(device, precision) -> list[Row]:
     for friction in values:
         axis = Axis((0, 0, 0), UP, (Line(0.2),))
         scene = Scene(
-            name="heap", duration=0.6, seed=3,
+            name="heap",
+            duration=0.6,
+            seed=3,
             fill=Fill(container=PipeContainer(axis, 0.025, 0.06), sizes=Uniform(4.5e-3, 5.5e-3), solid_fraction=0.58),
             walls=(PlaneWall(name="floor", point=(0, 0, 0), normal=UP),),
             contact=replace(rough, friction=friction),
             contacts={("aggregate", "wall"): rough},
-        )  # fmt: skip
+        )
         run = ElementSimulation(scene, device=device, precision=precision).run()
         angles.append(_slope(run.bodies.position, float(run.bodies.volume.sum()) / 0.6))
     REPOSE.curves.update(friction=np.array(values), angle=np.array(angles))

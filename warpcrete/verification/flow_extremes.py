@@ -81,8 +81,9 @@ def column(
     `aggregates` is the volume fraction of coarse aggregate. `concrete` holds constants that replace those of concrete
     no. 1 of Xu, Li & Jiang 2021. Lengths are in m, and `flow` in m3/s.
     """
-    constants = {name: getattr(PAPER, name) for name in
-                 ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")}  # fmt: skip
+    constants = {
+        name: getattr(PAPER, name) for name in ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
+    }
     mixed = Concrete(name="own", **{**constants, **concrete})
     grains = Aggregates(fraction=aggregates, mortar=mixed, sizes=((2e-3, 5e-3, 1.0),)) if aggregates else None
     return FluidScene(
@@ -117,8 +118,10 @@ def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: s
     except (InstabilityError, ConvergenceError) as error:
         stopped = str(error)
     late = rows[len(rows) // 10 :]
-    largest = {key: max((abs(row[key]) for row in late), default=0.0)
-               for key in ("force_balance_error", "volume_error", "fastest")}  # fmt: skip
+    largest = {
+        key: max((abs(row[key]) for row in late), default=0.0)
+        for key in ("force_balance_error", "volume_error", "fastest")
+    }
     return FlowOutcome(
         name, stopped, refused, largest["force_balance_error"], largest["volume_error"], largest["fastest"] / top,
         closest, taken, MUST.get(name, "" if name.startswith("corner") else "run"),
@@ -204,8 +207,10 @@ def _singles(prefix: str, d: int) -> Iterator[Case]:
     yield case("a column one spacing long", length=0.01)
     yield case("no slip, Newtonian", slip_viscosity=1e7, slip_yield=0.0, yield_stress=0.0, viscosity=20.0)
     shears = dict(viscosity=30.0, yield_stress=40.0, slip_viscosity=1000.0, slip_yield=20.0, density=2350.0)
-    for name, changes in (("no slip for 1 s", dict(slip_viscosity=1e6, slip_yield=0.0)),
-                          ("a concrete that shears, for 1 s", shears)):  # fmt: skip
+    for name, changes in (
+        ("no slip for 1 s", dict(slip_viscosity=1e6, slip_yield=0.0)),
+        ("a concrete that shears, for 1 s", shears),
+    ):
         yield prefix + name, lambda changes=changes: column(d, **changes), LONG
     yield case("slip only", slip_viscosity=1.0, slip_yield=0.0)
     if d == 2:

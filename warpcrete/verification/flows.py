@@ -29,7 +29,7 @@ def _flow(dimensions: int, mix: str, device: str, precision: str) -> list[Row]:
         Row(f"{mix} {PROFILE}", result["profile_error"], 0.0, allowed["profile"], scale=1.0),
         Row(f"{mix} volume", 1 + result["volume_error"], 1.0, allowed["volume"]),
         Row(f"{mix} balance of forces", result["force_balance_error"], 0.0, allowed["balance"], scale=1.0),
-    ]  # fmt: skip
+    ]
 
 
 def channel(device: str, precision: str) -> list[Row]:

@@ -110,9 +110,11 @@ def _peak(law, radius, density, speed, plane, device, precision):
         walls = (PlaneWall(name="plane", point=(0, 0, 0), normal=(0, 0, 1)),)
     else:
         bodies = Bodies(
-            positions=[[0, 0, radius], [0, 0, -radius]], sizes=2 * radius, density=density,
+            positions=[[0, 0, radius], [0, 0, -radius]],
+            sizes=2 * radius,
+            density=density,
             velocities=[[0, 0, -speed], [0, 0, speed]],
-        )  # fmt: skip
+        )
         walls = ()
     scene = Scene(
         name="impact", duration=1.0, gravity=NO_GRAVITY, contact=law, bodies=(bodies,), walls=walls,

@@ -77,7 +77,7 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
 
 def worst(
     dimensions: int, number: float, layer: float, longest: float, error: float, end: float, device: str, precision: str
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """Return the largest rms error of the velocity profile over all compared times, and the largest error in any cell.
 
     Errors are divided by the mean velocity of the steady flow. `dimensions` is 2 for a channel and 3 for a pipe.

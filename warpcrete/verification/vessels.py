@@ -212,9 +212,7 @@ def rest(device: str, precision: str) -> list[Row]:
         state = simulation.state
         pressure = state.cells("pressure")
         place = (np.arange(state.layout.cells[-1]) + 0.5) * state.layout.step
-        exact = np.broadcast_to(
-            (2000 * 9.81 * (0.2 - place)).reshape(-1, *[1] * (pressure.ndim - 1)), pressure.shape
-        )  # fmt: skip
+        exact = np.broadcast_to((2000 * 9.81 * (0.2 - place)).reshape(-1, *[1] * (pressure.ndim - 1)), pressure.shape)
         # Leave out cells of which only a small part is open: their pressure does not belong to the cell's centre, for
         # which the exact pressure is computed.
         full = (state.cells("fill") == 1) & (exact > 2000 * 9.81 * 0.02) & (state.cells("room") > 0.25)

@@ -45,9 +45,11 @@ def kernel_cache_errors() -> Generator[None]:
 def kernel_cache_problem(error: OSError) -> str:
     """Return the message for an `error` in reading or writing Warp's files of compiled kernels."""
     verb = "written" if is_full(error) or error.errno == errno.EROFS else "used"
-    return (f"kernel cache = '{error.filename or wp.config.kernel_cache_dir}': cannot be {verb} "
-            f"({error.strerror or error}); set the environment variable WARP_CACHE_PATH to a folder in which files can "
-            "be written")  # fmt: skip
+    return (
+        f"kernel cache = '{error.filename or wp.config.kernel_cache_dir}': cannot be {verb} "
+        f"({error.strerror or error}); set the environment variable WARP_CACHE_PATH to a folder in which files can "
+        "be written"
+    )
 
 
 def in_kernel_cache(error: OSError) -> bool:

@@ -289,8 +289,10 @@ def _advice(text: str, unit: str) -> str:
     if re.match(r"[-+]?[0-9]{1,3}(?:[.,][0-9]{3})+[.,][0-9]*(?![0-9.,])", text):
         return "leave out separators of thousands"
     if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):
-        return (f"the comma in {found[0]} may separate decimals or thousands; write {found[1]}.{found[2]} or "
-                f"{found[1]}{found[2]}")  # fmt: skip
+        return (
+            f"the comma in {found[0]} may separate decimals or thousands; write {found[1]}.{found[2]} or "
+            f"{found[1]}{found[2]}"
+        )
     if len(pieces := listed(text)) > 1 and all(math.isfinite(_parsed(each, unit)) for each in pieces):
         return f"this is a list of {len(pieces)} numbers, but must be one number"
     if re.match(r"[-+]?[0-9]+(?:[\s-]+[0-9]+)?/[0-9]", text):

@@ -35,8 +35,10 @@ FACTOR_KEYS = ("yield_factor", "viscosity_factor")
 stresses and all viscosities."""
 FACTOR_SOURCE = "factor_source"
 """Entry of the section `flow` that states where the factors in :data:`FACTOR_KEYS` come from."""
-FACTORS_BELONG = ("factors for another age or temperature belong to the section 'flow' of the concrete's file: 'flow: "
-                  "{yield_factor: 1.5, viscosity_factor: 1.2, factor_source: tribometer after 60 min}'")  # fmt: skip
+FACTORS_BELONG = (
+    "factors for another age or temperature belong to the section 'flow' of the concrete's file: 'flow: "
+    "{yield_factor: 1.5, viscosity_factor: 1.2, factor_source: tribometer after 60 min}'"
+)
 """Hint for users who write such factors in another section."""
 MISPLACED_FACTORS = (*FACTOR_KEYS, FACTOR_SOURCE, "factor", "factors", "age", "temperature")
 """Entries with which users try to describe the age or temperature of a concrete outside the section `flow`."""
@@ -189,8 +191,10 @@ def _factor_source(given: Mapping[str, Any], flow: dict[str, Any], name: str) ->
             refuse(f"concrete flow {FACTOR_SOURCE}", stated, "must be a text, such as 'tribometer after 60 min'")
     source = "" if stated is None else one_line(str(stated))
     if not source and (factors := [key for key in FACTOR_KEYS if not _is_one(flow.get(key, 1))]):
-        warn(f"concrete {name}: {' and '.join(factors)} without a source; state where the numbers come from, as in "
-             f"'{FACTOR_SOURCE}: tribometer after 60 min'")  # fmt: skip
+        warn(
+            f"concrete {name}: {' and '.join(factors)} without a source; state where the numbers come from, as in "
+            f"'{FACTOR_SOURCE}: tribometer after 60 min'"
+        )
     return source
 
 

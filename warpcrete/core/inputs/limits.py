@@ -175,8 +175,9 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
         return ""  # Limits of all quantities in one unit are too wide to show which unit was meant.
     if written_text(value) or not 1e-2 <= value <= 1e6:
         return ""  # A negative, very small or very large number does not result from a wrong unit, so suggest none.
-    possible = [other for other, factor in UNITS.get(unit, {}).items()
-                if factor != 1.0 and low <= value * factor <= high]  # fmt: skip
+    possible = [
+        other for other, factor in UNITS.get(unit, {}).items() if factor != 1.0 and low <= value * factor <= high
+    ]
     # An inch or a cubic yard may be as usual as a metric unit, and only the user knows which one was meant.
     customary = next((other for other in possible if other in CUSTOMARY), None)
     shown = possible[:1] + ([customary] if customary not in (None, *possible[:1]) else [])

@@ -28,8 +28,10 @@ def _listed(fields: Iterable[Field]) -> str:
         if field.group != group:
             group = field.group
             lines += ["", group.rstrip(".")]
-        lines += [f"    {field.name}: {_kind_of(field)}", *textwrap.wrap(
-            field.described, 100, initial_indent=8 * " ", subsequent_indent=8 * " ")]  # fmt: skip
+        lines += [
+            f"    {field.name}: {_kind_of(field)}",
+            *textwrap.wrap(field.described, 100, initial_indent=8 * " ", subsequent_indent=8 * " "),
+        ]
     return "\n".join(["Parameters, all by name; a number may be a text with its unit, such as '125 mm':", *lines])
 
 

@@ -170,8 +170,9 @@ def _checked(path: Path, most: int) -> int:
         kind = next((name for test, name in KINDS if test(found.st_mode)), "not a regular file")
         raise Unreadable(f"cannot be read, because it is {kind}", "give the path of a file")
     if found.st_size > most:
-        raise Unreadable(f"is too large: {found.st_size:,} bytes, at most {most:,} are allowed",
-                          "check that it is the right file")  # fmt: skip
+        raise Unreadable(
+            f"is too large: {found.st_size:,} bytes, at most {most:,} are allowed", "check that it is the right file"
+        )
     return found.st_size
 
 

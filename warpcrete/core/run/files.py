@@ -131,8 +131,10 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def _refuse_entry(path: Path, name: str, value: object) -> NoReturn:
-    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} has the wrong value {quoted(value)}; "
-                         "restore the file, or start again in a new folder")  # fmt: skip
+    raise RunFolderError(
+        f"'{path}': is damaged: its entry {name!r} has the wrong value {quoted(value)}; "
+        "restore the file, or start again in a new folder"
+    )
 
 
 def folder_path(field: str, value: object) -> Path:

@@ -51,7 +51,8 @@ class WallLawChoice:
     common: ClassVar[tuple[str, ...]] = ()
 
     wall_contact: Annotated[
-        ContactLaw | None, "Law of the contacts with pipe and piston only, with the same choices as 'contact'; "
-            "default: the law in 'contact', if it is given",
+        ContactLaw | None,
+        "Law of the contacts with pipe and piston only, with the same choices as 'contact'; "
+        "default: the law in 'contact', if it is given",
         LAWS,
-    ] = None  # fmt: skip
+    ] = None

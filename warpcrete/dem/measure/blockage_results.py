@@ -52,21 +52,29 @@ def not_blocked_words(run: Run) -> str:
     window, slowest = number(run.result["blockage_window"]), run.result.get("slowest_advance")
     travel = float(run.series["travel"][-1])
     if travel < 2 * window:
-        return (f"not blocked, but the piston has moved only {travel:.3g} m; concrete counts as blocked if it stands "
-                f"still while the piston moves by {window:.3g} m")  # fmt: skip
+        return (
+            f"not blocked, but the piston has moved only {travel:.3g} m; concrete counts as blocked if it stands "
+            f"still while the piston moves by {window:.3g} m"
+        )
     if slowest is None:
         return f"not blocked within {travel:.3g} m of travel; at the end too few aggregates were left to tell"
     if number(slowest) < STANDING_RATIO:
-        return (f"not blocked within {travel:.3g} m of travel, but at the end part of the concrete moved only "
-                f"{number(slowest):.2f} times as far as the piston; move the piston further")  # fmt: skip
-    return (f"not blocked within {travel:.3g} m of travel; at the end every part of the concrete moved at least "
-            f"{number(slowest):.2f} times as far as the piston")  # fmt: skip
+        return (
+            f"not blocked within {travel:.3g} m of travel, but at the end part of the concrete moved only "
+            f"{number(slowest):.2f} times as far as the piston; move the piston further"
+        )
+    return (
+        f"not blocked within {travel:.3g} m of travel; at the end every part of the concrete moved at least "
+        f"{number(slowest):.2f} times as far as the piston"
+    )
 
 
 def blocked_words(run: Run) -> str:
     """Return a phrase that says where the pipe of `run` was blocked, with the evidence for the blockage."""
-    found = {name: number(run.result[f"blocked_{name}"]) for name in
-             ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
+    found = {
+        name: number(run.result[f"blocked_{name}"])
+        for name in ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")
+    }
     ending = " spans" if found["chains"] == 1 else "s span"
     spans = f"{found['chains']:.0f} force chain{ending}" if found["chains"] else "no force chain spans"
     travel = found["from_travel"]

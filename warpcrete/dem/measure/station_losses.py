@@ -54,8 +54,10 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
             result |= {f"{name}_gradient": -found.stress[0], f"{name}_wall_stress": found.mean}
     if before is not None and behind is not None:
         loss = float(np.polyval(before.stress, begin) - np.polyval(behind.stress, end))
-        there = [2 * np.polyval(line.shear, place) / stations.bores.at(place)
-                 for line, place in ((before, begin), (behind, end))]  # fmt: skip
+        there = [
+            2 * np.polyval(line.shear, place) / stations.bores.at(place)
+            for line, place in ((before, begin), (behind, end))
+        ]
         result |= {"middle_loss": loss, "flux_ratio": behind.flux / before.flux}
         if min(there) > 0:
             straight = _logarithmic_mean(*map(float, there)) * (end - begin)

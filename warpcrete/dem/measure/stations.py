@@ -234,8 +234,9 @@ def _stresses(stations: Stations, seen: StationArrays, spheres: _Spheres) -> np.
         here = np.any(arms[:, slot] != 0, axis=1)
         point = spheres.centre[here] + arms[here, slot]
         middle = spheres.middle[spheres.body[here]]
-        total += _of_contacts(axis, edges, body_s[spheres.body[here]], axis.along(point), pushes[here, slot],
-                              point - middle)  # fmt: skip
+        total += _of_contacts(
+            axis, edges, body_s[spheres.body[here]], axis.along(point), pushes[here, slot], point - middle
+        )
     return total
 
 

@@ -115,17 +115,19 @@ class StrokeParameters:
     stroke: Annotated[
         float | None,
         "Travel of each stroke [m]; default: the travel divided by the number of strokes; if no travel is given, "
-            "three ramps, or in bends an equal part of the arc",
-        Above(), STROKES,
-    ] = None  # fmt: skip
+        "three ramps, or in bends an equal part of the arc",
+        Above(),
+        STROKES,
+    ] = None
     pause: Annotated[
         float, "Duration of each stop of the piston between strokes [s]; 0: no stop", Within(0), STROKES
     ] = 0.5
     rest: Annotated[
-        float, "Time at rest before the last stroke [s]; a formula gives its effect on the strengths, without time "
-            "steps", Within(0),
+        float,
+        "Time at rest before the last stroke [s]; a formula gives its effect on the strengths, without time steps",
+        Within(0),
         STROKES,
-    ] = 0.0  # fmt: skip
+    ] = 0.0
     thixotropy: Annotated[
         float,
         "Growth rate A_thix of yield stress and bond strengths at rest [Pa/s]; 0.1 to 1.7 (Roussel 2006)",
@@ -221,8 +223,9 @@ class ContactParameters:
     wall_friction: Annotated[float | None, "Friction coefficient on the pipe and the piston; default: the value of "
                                            "friction", Within(0), OWN_LAW,
                              OWN_WALL_LAW] = None  # fmt: skip
-    layer_yield: Annotated[float, "Yield stress of a lubrication layer on pipe and piston [Pa]", Within(0), OWN_LAW,
-                           OWN_WALL_LAW] = 0.0  # fmt: skip
+    layer_yield: Annotated[
+        float, "Yield stress of a lubrication layer on pipe and piston [Pa]", Within(0), OWN_LAW, OWN_WALL_LAW
+    ] = 0.0
     layer_viscosity: Annotated[
         float, "Viscosity of the lubrication layer divided by its thickness [Pa s/m]", Within(0), OWN_LAW, OWN_WALL_LAW
     ] = 0.0
@@ -302,10 +305,12 @@ class IndexParameters:
 
     wear: Annotated[bool, "Measure the sliding and the impacts on each patch of the walls"] = False
     wear_coefficient: Annotated[
-        float, "Archard's wear coefficient K/H, worn volume per load and sliding distance [m2/N]; 1e-13 to 1e-12 for "
-               "steel worn by stones",
-        Within(0), WORN,
-    ] = Wear.coefficient  # fmt: skip
+        float,
+        "Archard's wear coefficient K/H, worn volume per load and sliding distance [m2/N]; 1e-13 to 1e-12 for "
+        "steel worn by stones",
+        Within(0),
+        WORN,
+    ] = Wear.coefficient
     wear_patch: Annotated[
         float | None, "Edge length of a patch of the pipe's wall [m]; default: 1/24 of its circumference", Above(), WORN
     ] = None
@@ -332,9 +337,11 @@ class RunParameters(Declared):
     common: ClassVar[tuple[str, ...]] = ("seed",)
 
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(-1e4, 1e4)] = 9.81
-    settle: Annotated[float, "Longest time for which the aggregates settle under gravity and the pressure of the "
-        "plug before the start [s]",
-                      Within(0)] = 2.0  # fmt: skip
+    settle: Annotated[
+        float,
+        "Longest time for which the aggregates settle under gravity and the pressure of the plug before the start [s]",
+        Within(0),
+    ] = 2.0
     time_step: FixedTimeStep = None
     hydration_rounds: Annotated[
         int | None,

@@ -237,8 +237,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
     if given.contact is None:
         yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
     if given.bonds and given.hydration > 0:
-        yield scaled("hydrated stiffness", "hydration_modulus", given.hydration_modulus, (0.01, 0.1, 1.0), 0.5, "Pa",
-                     True)  # fmt: skip
+        yield scaled(
+            "hydrated stiffness", "hydration_modulus", given.hydration_modulus, (0.01, 0.1, 1.0), 0.5, "Pa", True
+        )
         much_stiffer = given.hydration_modulus >= MUCH_STIFFER * max(stiffness_of(given), given.bond_modulus)
         if given.hydration_rounds is None and given.time_step is None and much_stiffer:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)

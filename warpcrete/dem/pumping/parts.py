@@ -91,8 +91,9 @@ class CourseParameters:
     ] = 0.3
     wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore is the part; the bore begins at the origin of "
         "the mesh and leads along its x axis", ALONE, FileIf(bool)] = None  # fmt: skip
-    wall_scale: Annotated[float, "Factor from the unit of the mesh file to metres: 0.001 for mm", OF_MESH,
-                          Above()] = 1.0  # fmt: skip
+    wall_scale: Annotated[float, "Factor from the unit of the mesh file to metres: 0.001 for mm", OF_MESH, Above()] = (
+        1.0
+    )
     line: Annotated[str | None, "File or name of a pump line, which replaces all of these parameters. It also sets "
         "flow and concrete, unless you give them. The line must begin and end with a straight part",
                     FileIf(is_file)] = None  # fmt: skip
@@ -113,11 +114,14 @@ class PushParameters:
     common: ClassVar[tuple[str, ...]] = ("flow", "travel")
 
     flow: Annotated[float, "Final volume flow that the piston displaces [m3/s]", Above()] = 1500e-6
-    travel: Annotated[float | None, "Travel of the piston in the pipe before the part [m]; default: two diameters",
-                      Above()] = None  # fmt: skip
-    ramp: Annotated[float | None, "Travel over which the speed of the piston rises linearly [m]; default: half of "
-        "the travel",
-                    Within(0)] = None  # fmt: skip
+    travel: Annotated[
+        float | None, "Travel of the piston in the pipe before the part [m]; default: two diameters", Above()
+    ] = None
+    ramp: Annotated[
+        float | None,
+        "Travel over which the speed of the piston rises linearly [m]; default: half of the travel",
+        Within(0),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

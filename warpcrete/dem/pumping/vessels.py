@@ -55,9 +55,11 @@ class GrainParameters:
 
     common: ClassVar[tuple[str, ...]] = ("size_min", "size_max", "bulk_density")
 
-    sizes: Annotated[str, "Size distribution: gaussian (mean at the middle, standard deviation half of the range) or "
-                          "uniform",
-                     OneOf(("gaussian", "uniform"))] = "uniform"  # fmt: skip
+    sizes: Annotated[
+        str,
+        "Size distribution: gaussian (mean at the middle, standard deviation half of the range) or uniform",
+        OneOf(("gaussian", "uniform")),
+    ] = "uniform"
     size_min: Annotated[float, "Smallest grain size [m]", Above()] = 10e-3
     size_max: Annotated[float, "Largest grain size [m]", Above()] = 16e-3
     bulk_density: Annotated[
@@ -105,10 +107,12 @@ class LawParameters:
         float, "Damping of the normal dashpot as a fraction of critical damping", Within(0), OWN_LAW
     ] = 0.5
     yield_stress: Annotated[
-        float, "Yield stress of the concrete [Pa]; the yield stress of a contact is chosen so that all slipping "
-            "contacts together give this value",
-        Within(0), WITH_MORTAR,
-    ] = 200.0  # fmt: skip
+        float,
+        "Yield stress of the concrete [Pa]; the yield stress of a contact is chosen so that all slipping "
+        "contacts together give this value",
+        Within(0),
+        WITH_MORTAR,
+    ] = 200.0
     viscosity: Annotated[
         float,
         "Plastic viscosity of the concrete [Pa s]; the viscosity of a contact is chosen so that all contacts together "

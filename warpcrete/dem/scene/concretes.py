@@ -40,9 +40,11 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
         section = {**found.elements, **_of_flow(found, layer_given), **found.mix.elements}
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
-        warn(f"concrete {found.name} has no sieve curve, so its aggregate has the default sizes of the scene; give "
-             "sieve openings [mm] with the fractions that pass them, in a mix 'sieve: {4: 0, 8: 0.4, 16: 1}', or as "
-             "the parameter sizes='4:0,8:0.4,16:1'")  # fmt: skip
+        warn(
+            f"concrete {found.name} has no sieve curve, so its aggregate has the default sizes of the scene; give "
+            "sieve openings [mm] with the fractions that pass them, in a mix 'sieve: {4: 0, 8: 0.4, 16: 1}', or as "
+            "the parameter sizes='4:0,8:0.4,16:1'"
+        )
     # The elements get the bulk density of the concrete, unless the user gives a density.
     if "density" in values:
         section = {key: value for key, value in section.items() if key != "bulk_density"}

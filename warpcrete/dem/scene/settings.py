@@ -139,8 +139,9 @@ class Wear(Declared):
         "Wear coefficient k, worn volume per load and sliding distance [m2/N]; 1e-13 to 1e-12 for steel worn by stones",
         Within(0),
     ] = 2e-13
-    patch: Annotated[float | None, "Edge length of a patch of a pipe's wall [m]; default: 1/24 of its circumference",
-                     Above()] = None  # fmt: skip
+    patch: Annotated[
+        float | None, "Edge length of a patch of a pipe's wall [m]; default: 1/24 of its circumference", Above()
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

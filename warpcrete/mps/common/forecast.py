@@ -168,5 +168,6 @@ def law_features(concrete: Concrete) -> dict[str, str]:
     laws = {"flow law": (concrete.bulk_law, "Pa s2"), "law of the slip layer": (concrete.layer_law, "Pa s2/m2")}
     return {
         name: f"{law.name}, n = {law.index:g}" if law.index != 1 else f"{law.name}, c = {law.quadratic:g} {unit}"
-        for name, (law, unit) in laws.items() if law.name != BINGHAM
-    }  # fmt: skip
+        for name, (law, unit) in laws.items()
+        if law.name != BINGHAM
+    }

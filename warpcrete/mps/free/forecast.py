@@ -81,8 +81,9 @@ def course_of(simulation: FreeSimulation) -> Course:
     coarse = {"spacing": float(max(spacing, scene.spacing))}
     notes = []
     if scene.fluid is not scene:
-        simulation = FreeSimulation(scene.fluid, device=str(simulation.device), precision=simulation.precision,
-                                    threads=simulation.threads)  # fmt: skip
+        simulation = FreeSimulation(
+            scene.fluid, device=str(simulation.device), precision=simulation.precision, threads=simulation.threads
+        )
         notes = ["the forecast of time and steps is for the mortar alone; a run with aggregates takes longer"]
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", **coarse)
     if outflow and run is not None and outflow.time in run.result:
@@ -110,9 +111,11 @@ def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -
     the flow itself.
     """
     start = type(simulation)(
-        replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,
+        replace(simulation.scene, **changes),
+        device=str(simulation.device),
+        precision=simulation.precision,
         threads=simulation.threads,
-    )  # fmt: skip
+    )
     start.prepare()
     first, sample = step_time(start), median_time(start.measure, start.device)
     start.release()

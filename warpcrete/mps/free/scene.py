@@ -173,8 +173,10 @@ class FreeScene(Parametrised, FreeSettings):
             refuse("lift_speed", self.lift_speed, problem, "use about 0.1 m/s, or leave out the gate")
         smallest = min(np.ptp(self.extent, axis=0))
         if self.spacing > smallest / 4:
-            problem = (f"is too coarse: at least four cells must fit across the concrete at the start, which is "
-                       f"{smallest:.4g} m in its shortest direction")  # fmt: skip
+            problem = (
+                f"is too coarse: at least four cells must fit across the concrete at the start, which is "
+                f"{smallest:.4g} m in its shortest direction"
+            )
             refuse("spacing", self.spacing, problem, f"use {at_most(smallest / 4)} m or less")
         check_interval(self)
         fall = float(np.sqrt(2 * self.gravity * self.extent[1, 1]))

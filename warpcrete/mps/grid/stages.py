@@ -77,11 +77,9 @@ class GridStep:
             *(self._break_structure() if kind.thixotropic else []),
             *([] if flow.full else self._disperse()),
             *self._extrapolate(),
-            *self._shared(
-                advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]
-            ),
+            *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
             *self._alone(flow.clock_kernels.tick, 1),
-        ]  # fmt: skip
+        ]
 
     def gather(self) -> list[Any]:
         """Return the stages that sort particles into cells and transfer their mass and velocity to the grid."""
@@ -127,9 +125,11 @@ class GridStep:
         """Return stages in which shear and slip reduce the yield stress that the concrete gained at rest."""
         scene = self.flow.scene
         return self._cells(
-            break_kernel(self.scalar, self.kind), breakdown=scene.breakdown,
-            breakdown_strain=scene.breakdown_strain, rebuild_rate=scene.rebuild_rate,
-        )  # fmt: skip
+            break_kernel(self.scalar, self.kind),
+            breakdown=scene.breakdown,
+            breakdown_strain=scene.breakdown_strain,
+            rebuild_rate=scene.rebuild_rate,
+        )
 
     def _extrapolate(self) -> list[Stage]:
         """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.

@@ -90,8 +90,10 @@ def _slope(values: np.ndarray, known: np.ndarray, axis: int) -> np.ndarray:
     valid. If a cell has no valid change, the result is 0.
     """
     total, count = np.zeros_like(values), np.zeros_like(values)
-    low, high = (tuple(cut if k == axis else slice(None) for k in range(values.ndim))
-                 for cut in (slice(None, -1), slice(1, None)))  # fmt: skip
+    low, high = (
+        tuple(cut if k == axis else slice(None) for k in range(values.ndim))
+        for cut in (slice(None, -1), slice(1, None))
+    )
     both = known[low] & known[high]
     change = np.where(both, values[high] - values[low], 0.0)
     for side in (low, high):

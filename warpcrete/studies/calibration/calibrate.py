@@ -205,9 +205,10 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
             rounds.append(proposed)
             write_json(calibration.folder / RECORD, calibration.record)
         each = rounds[place]
-        trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"],
-                        "coarse" in each)
-                  for k, units in enumerate(each["units"])]  # fmt: skip
+        trials = [
+            Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"], "coarse" in each)
+            for k, units in enumerate(each["units"])
+        ]
         # Compute the progress of the whole calibration. The total is the maximum number of trials plus the number of
         # verification runs. If the search ends early, the verification runs count as the whole remaining work.
         coarse = sum(len(found["units"]) for found in rounds if "coarse" in found)
@@ -322,8 +323,10 @@ def _results(calibration: Calibration, trials: Sequence[Trial]) -> tuple[np.ndar
     The parameters, shape (n, free), are scaled to 0 to 1 over their ranges. The values of a target have the shape (n,),
     with NaN for trials that yielded none.
     """
-    values = {target: np.array([trial.values.get(target, math.nan) for trial in trials])
-              for target in calibration.task.targets}  # fmt: skip
+    values = {
+        target: np.array([trial.values.get(target, math.nan) for trial in trials])
+        for target in calibration.task.targets
+    }
     return np.array([trial.units for trial in trials]), values
 
 

@@ -126,19 +126,24 @@ class Calibration:
         for target, (low, high) in still.items():
             names = ", ".join(free.name for free in task.free)
             between = f"{target.words(low)} and {target.words(high)}"
-            texts.append(f"none of {names} changes the {target.label}: it stays between {between}, but the measured "
-                         f"value is {target.words(target.value)}")  # fmt: skip
+            texts.append(
+                f"none of {names} changes the {target.label}: it stays between {between}, but the measured "
+                f"value is {target.words(target.value)}"
+            )
         for target in task.fitted:
             if target not in still and abs(self.off(target)) > UNREACHABLE_DISTANCE:
-                texts.append(f"no parameters within the ranges fit the {target.label} together with the other targets: "
-                            f"it is {abs(self.off(target)):.1f} standard deviations off at best")  # fmt: skip
+                texts.append(
+                    f"no parameters within the ranges fit the {target.label} together with the other targets: "
+                    f"it is {abs(self.off(target)):.1f} standard deviations off at best"
+                )
         for place, free in enumerate(task.free):
             if found.relative_width(place) > 0.8:
                 texts.append(f"the data do not determine {free.name}: its uncertainty is as large as its range")
         for one, other, correlation in confounded_pairs(found):
             way = "increasing one and decreasing the other" if correlation < 0 else "increasing both"
-            texts.append(f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation "
-                        f"{correlation:.2f})")  # fmt: skip
+            texts.append(
+                f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation {correlation:.2f})"
+            )
         for place, free in enumerate(task.free):
             edge = min(found.best[place], 1 - found.best[place])
             if edge < 0.02:
@@ -147,19 +152,25 @@ class Calibration:
                 )
         failed = [trial for trial in self.searched if trial.failure]
         if failed:
-            texts.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; reason in the "
-                        f"first: {failed[0].failure}")  # fmt: skip
+            texts.append(
+                f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; reason in the "
+                f"first: {failed[0].failure}"
+            )
         checks = sorted({check for trial in self.searched for check in trial.suspect})
         if checks:
             runs = sum(bool(trial.suspect) for trial in self.searched)
-            texts.append(f"runs of {runs} of {len(self.searched)} trials fail checks of their scenes "
-                        f"({', '.join(checks)}); the fit gives their values a further uncertainty, as large as the "
-                        "target's")  # fmt: skip
+            texts.append(
+                f"runs of {runs} of {len(self.searched)} trials fail checks of their scenes "
+                f"({', '.join(checks)}); the fit gives their values a further uncertainty, as large as the "
+                "target's"
+            )
         checks = sorted({check for trial in self.verifying for check in trial.suspect})
         if checks:
-            texts.append(f"runs of the most likely parameters fail checks of their scenes ({', '.join(checks)}), so do "
-                        "not rely on this answer; use a smaller 'spacing' or a longer 'duration' in the targets' "
-                        "parameters")  # fmt: skip
+            texts.append(
+                f"runs of the most likely parameters fail checks of their scenes ({', '.join(checks)}), so do "
+                "not rely on this answer; use a smaller 'spacing' or a longer 'duration' in the targets' "
+                "parameters"
+            )
         if not self.settled:
             texts.append("the search ended before it converged; continue it with more trials")
         return texts

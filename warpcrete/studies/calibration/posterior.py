@@ -34,9 +34,7 @@ UNIFORM_DEVIATION = 1 / np.sqrt(12)
 class Emulator:
     """Gaussian process that predicts one quantity as a linear trend, a smooth deviation from it, and noise."""
 
-    def __init__(
-        self, points: np.ndarray, values: np.ndarray, least: float, extra: np.ndarray | float = 0.0
-    ) -> None:  # fmt: skip
+    def __init__(self, points: np.ndarray, values: np.ndarray, least: float, extra: np.ndarray | float = 0.0) -> None:
         """Fit a Gaussian process to `values`, shape (n,), at `points` with coordinates from 0 to 1, shape (n, free).
 
         The values are divided by their standard deviation, or by `least` if `least` is larger. Differences between the
@@ -50,8 +48,9 @@ class Emulator:
         self.middle, self.scale = float(values.mean()), max(float(values.std()), least)
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
-        self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0,
-                                                alpha=1e-9 + (extra / self.scale) ** 2)  # fmt: skip
+        self.process = GaussianProcessRegressor(
+            kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9 + (extra / self.scale) ** 2
+        )
         # The fit warns if a parameter of the covariance function reaches the bound of its allowed range. Suppress this
         # warning, because the fitted function is valid at the bound, too.
         with warnings.catch_warnings():
@@ -231,8 +230,9 @@ def posterior(
     samples = np.asarray(sampler.get_chain(discard=DISCARDED_STEPS, flat=True, thin=4))
     chances = np.asarray(sampler.get_log_prob(discard=DISCARDED_STEPS, flat=True, thin=4))
     start = samples[np.argmax(chances)]
-    refined = minimize(lambda u: -float(likelihood(u[None])[0]), start, method="Nelder-Mead",
-                       bounds=[(0.0, 1.0)] * free)  # fmt: skip
+    refined = minimize(
+        lambda u: -float(likelihood(u[None])[0]), start, method="Nelder-Mead", bounds=[(0.0, 1.0)] * free
+    )
     best = refined.x if refined.fun <= -chances.max() else start
     return Posterior(task, emulators, samples, np.clip(best, 0.0, 1.0))
 

@@ -56,8 +56,10 @@ def parameter_table(found: Calibration) -> list[str]:
     ]
     for place, free in enumerate(found.task.free):
         low, high = found.posterior.interval(place)
-        lines.append(f"| {free.name} | {free.low:g} to {free.high:g} | {found.best[free.name]:.4g} | {low:.4g} to "
-                     f"{high:.4g} | {found.posterior.relative_width(place):.2f} |")  # fmt: skip
+        lines.append(
+            f"| {free.name} | {free.low:g} to {free.high:g} | {found.best[free.name]:.4g} | {low:.4g} to "
+            f"{high:.4g} | {found.posterior.relative_width(place):.2f} |"
+        )
     return lines
 
 
@@ -178,8 +180,9 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
             if row == column:
                 here.hist(samples[:, column], bins=_bins(across), color="0.6")
                 here.axvline(found.best[across.name], color=rgb(RUN), label="likeliest")
-                here.plot(trials[:, column], np.zeros(len(trials)), "|", color=rgb(SECOND), clip_on=False,
-                          label="trials")  # fmt: skip
+                here.plot(
+                    trials[:, column], np.zeros(len(trials)), "|", color=rgb(SECOND), clip_on=False, label="trials"
+                )
                 here.set_yticks([])
             else:
                 here.hist2d(samples[:, column], samples[:, row], bins=[_bins(across), _bins(up)], cmap="Greys")

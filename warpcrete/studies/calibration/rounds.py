@@ -120,9 +120,11 @@ def _optuna_points(calibration: Calibration, count: int, seed: int) -> list[list
         sound = len(off) == len(calibration.task.fitted)
         study.add_trial(
             optuna.trial.create_trial(
-                params=dict(zip(names, trial.units)), distributions=ranges,
-                value=float(np.sum(np.square(off))) if sound else 1e6, constraints={"failed": float(not sound)},
+                params=dict(zip(names, trial.units)),
+                distributions=ranges,
+                value=float(np.sum(np.square(off))) if sound else 1e6,
+                constraints={"failed": float(not sound)},
             )
-        )  # fmt: skip
+        )
     asked = [study.ask(ranges) for _ in range(count)]
     return [[trial.params[name] for name in names] for trial in asked]

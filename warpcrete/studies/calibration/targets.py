@@ -324,8 +324,9 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
     numbers = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2
     if numbers:
         given = [field.number(each, called) for each in given]
-    if not numbers or not all(isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e)
-                              for e in given):  # fmt: skip
+    if not numbers or not all(
+        isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e) for e in given
+    ):
         refuse(called, given, "must be two finite numbers, the lowest and the highest value", "for example [0.1, 1]")
     for each in given:
         field.check_limits(field.converted(each, called), called)
@@ -373,8 +374,9 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
         problem = f"must be at least 0 {unit}"
         refuse(f"{target.quantity} of {target.scene}", target.value, problem, "check the sign of the value")
     check_limit(f"{target.quantity} of {target.scene}", target.value, unit, target.quantity)
-    return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
-                  target.held_out, unit)  # fmt: skip
+    return Target(
+        target.scene, target.quantity, target.value, target.uncertainty, target.parameters, target.held_out, unit
+    )
 
 
 def _refuse_contradictions(targets: Sequence[Target]) -> None:
@@ -385,10 +387,12 @@ def _refuse_contradictions(targets: Sequence[Target]) -> None:
             same = (one.key, one.quantity) == (other.key, other.quantity)
             if same and abs(one.value - other.value) > MAX_DEVIATIONS_APART * scatter:
                 apart = abs(one.value - other.value) / scatter
-                refuse("targets", f"{other.words(other.value)} and {one.words(one.value)}",
-                       f"contradict each other: both state the {one.label}, but differ by {apart:.2g} standard "
-                       "deviations",
-                       "correct one of them, or increase their uncertainties")  # fmt: skip
+                refuse(
+                    "targets",
+                    f"{other.words(other.value)} and {one.words(one.value)}",
+                    f"contradict each other: both state the {one.label}, but differ by {apart:.2g} standard deviations",
+                    "correct one of them, or increase their uncertainties",
+                )
 
 
 def found_in(result: Mapping[str, Any], target: Target) -> float | None:

@@ -284,8 +284,10 @@ class PumpMargin:
         if self.band.high > self.band.value:
             text += f", and {self.pump.pressure / self.band.high:.2f} times the upper end of the band"
         if self.pump.power is not None:
-            own, needed = (f"{each / 1e3:.3g} kW{beside(us, 'hp', each)}"
-                           for each in (self.pump.power, motor_power(self.band.value, self.flow)))  # fmt: skip
+            own, needed = (
+                f"{each / 1e3:.3g} kW{beside(us, 'hp', each)}"
+                for each in (self.pump.power, motor_power(self.band.value, self.flow))
+            )
             text += f"; the motor has {own}, and the line needs {needed}"
         if self.pump.flow is not None:
             most = f"{3600 * self.pump.flow:.4g} m3/h{beside(us, 'yd3/h', self.pump.flow)}"
@@ -301,4 +303,4 @@ class PumpMargin:
             "margin": self.factor,
             "margin_at_upper_end": self.pump.pressure / self.band.high if self.band.high > 0 else None,
             "verdict": self.verdict,
-        }  # fmt: skip
+        }

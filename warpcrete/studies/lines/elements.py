@@ -280,8 +280,10 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
             )
     for part, blocked in zip(found.line.parts, found.blocked(), strict=True):
         if blocked:
-            yield (f"BLOCKED: part {part.number}, {part.label}, with {blocked} of {len(found.packed)} seeds; the "
-                   "pressure of a blocked line has no meaning")  # fmt: skip
+            yield (
+                f"BLOCKED: part {part.number}, {part.label}, with {blocked} of {len(found.packed)} seeds; the "
+                "pressure of a blocked line has no meaning"
+            )
     if not any(found.blocked()):
         yield "not blocked: no simulated part was blocked"
     laws = [law for each in found.packed for law in each.laws.values()]

@@ -15,7 +15,7 @@ from ...core.drawing.style import (
     new_figure,
     open_frame,
     rgb,
-)  # fmt: skip
+)
 from ...core.inputs.customary import CUSTOMARY_SIZES
 from .answers import time_text
 from .pressures import LinePressures
@@ -118,5 +118,7 @@ def _title(result: LinePressures) -> str:
         bores += [bore for bore in (x.part.diameter, x.part.outlet) if bore != bores[-1]]
     shown = " to ".join(f"{bore / (CUSTOMARY_SIZES['in'] if us else 1e-3):.4g}" for bore in bores)
     rate = result.flow / (CUSTOMARY_SIZES["yd3/h"] if us else 1 / 3600)
-    return (f"{result.line.name}, diameter {shown} {'in' if us else 'mm'}, concrete {result.concrete.name}, "
-            f"{rate:.3g} {'yd3/h' if us else 'm3/h'}")  # fmt: skip
+    return (
+        f"{result.line.name}, diameter {shown} {'in' if us else 'mm'}, concrete {result.concrete.name}, "
+        f"{rate:.3g} {'yd3/h' if us else 'm3/h'}"
+    )

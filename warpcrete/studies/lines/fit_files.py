@@ -66,8 +66,10 @@ def write_fit(
         factor = fit.constants[2]
         entry = {"factor": f"{factor.value:.4g}", "low": f"{factor.low:.4g}", "high": f"{factor.high:.4g}"}
         _write(folder / BENDS_FILE, {"bend_factor": {key: float(value) for key, value in entry.items()}})
-        said.append(f"the fitted factor of bends: copy the entry 'bend_factor' of {folder / BENDS_FILE} into the file "
-                    "of the other line")  # fmt: skip
+        said.append(
+            f"the fitted factor of bends: copy the entry 'bend_factor' of {folder / BENDS_FILE} into the file "
+            "of the other line"
+        )
     return said if fit.contradiction is None else [f"{each}{warning}" for each in said]
 
 

@@ -111,8 +111,10 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
         there = _friction_behind_gauges(fit, line, concrete, ratio)
         # Convert deviations of the friction to deviations of the layer's resistance.
         power = elasticity(there, eta, tau)
-        offs = [layer_deviation(max(abs(math.log(there(*end) / there(eta, tau))) for end in pair), power)
-                for pair in (fit.layer_ends, fit.yield_layers)]  # fmt: skip
+        offs = [
+            layer_deviation(max(abs(math.log(there(*end) / there(eta, tau))) for end in pair), power)
+            for pair in (fit.layer_ends, fit.yield_layers)
+        ]
         wide = max(wide, math.hypot(*offs, fittings))
     factor = math.exp(fittings)
     layer = [_wider(each, each.value / factor, each.value * factor) for each in fit.constants[:2]]
@@ -149,8 +151,10 @@ def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> 
             continue
         squares = 0.0
         for end in (0, 1):
-            changed = [_at_end(part, end, straight_friction(part, fit.concrete(concrete), flow))
-                       if part.kind == kind else part for part in line.parts]  # fmt: skip
+            changed = [
+                _at_end(part, end, straight_friction(part, fit.concrete(concrete), flow)) if part.kind == kind else part
+                for part in line.parts
+            ]
             there = _friction_behind_gauges(fit, replace(line, parts=tuple(changed)), concrete)(eta, tau)
             squares += 0.5 * math.log(wanted / there) ** 2
         found = math.hypot(found, layer_deviation(math.sqrt(squares), power))

@@ -62,8 +62,10 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
     names = ("ft", "yd3/h", "psi") if line.customary else ("m", "m3/h", "bar")
     place, rate, size = (CUSTOMARY_SIZES[name] for name in names) if line.customary else (1.0, 1 / 3600, 1e5)
     unit = names[2]
-    found += [f"| place [{names[0]}] | flow [{names[1]}] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
-              "|---|---|---|---|---|"]  # fmt: skip
+    found += [
+        f"| place [{names[0]}] | flow [{names[1]}] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
+        "|---|---|---|---|---|",
+    ]
     for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
         cells = (f"{tap.place / place:.4g}", f"{tap.flow / rate:.4g}", f"{tap.pressure / size:.4g}",
                  f"{fitted / size:.4g}", f"{each / size:+.2g}")  # fmt: skip

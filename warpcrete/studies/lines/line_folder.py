@@ -31,8 +31,9 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     record = out / LINE_RECORD
     known = json.loads(json.dumps(asked))
     if record.is_file() and read_json(record) != known:
-        raise RunFolderError(f"out = '{out}': contains the unfinished results of a line with other inputs; choose a "
-                             "new folder")  # fmt: skip
+        raise RunFolderError(
+            f"out = '{out}': contains the unfinished results of a line with other inputs; choose a new folder"
+        )
     with locked_folder(out, LINE_RECORD) if record.is_file() else new_folder(out):
         if not record.is_file():
             write_json(record, known)

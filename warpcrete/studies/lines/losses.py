@@ -21,7 +21,7 @@ __all__ = [
     "straight_friction",
     "with_layer_factor",
     "with_stone",
-]  # fmt: skip
+]
 
 GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""

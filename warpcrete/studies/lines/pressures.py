@@ -146,10 +146,11 @@ class LinePressures:
         are the ends of the remaining uncertainty band, divided by the measured value.
         """
         low, high = (
-            with_layer_factor(self.concrete, x) if cause == "slip layer"
+            with_layer_factor(self.concrete, x)
+            if cause == "slip layer"
             else replace(self.concrete, **{key: x * getattr(self.concrete, key) for key in CAUSES[cause]})
             for x in factors
-        )  # fmt: skip
+        )
         return replace(self, variants={**self._variants(), cause: (low, high)})
 
     def restart(self, flow: float = 0.0) -> Band:
@@ -175,8 +176,10 @@ class LinePressures:
             return x.friction
 
         value = pressure(self.concrete, stop.growth, own)
-        ends = {cause: (pressure(low, stop.growth, own), pressure(high, stop.growth, own))
-                for cause, (low, high) in self._variants().items()}  # fmt: skip
+        ends = {
+            cause: (pressure(low, stop.growth, own), pressure(high, stop.growth, own))
+            for cause, (low, high) in self._variants().items()
+        }
         for kind in uncertain_kinds(self.line.parts):
             low, high = (pressure(self.concrete, stop.growth, self._friction_with(kind, end)) for end in (0, 1))
             ends[MODEL_ERRORS[kind].cause] = (low, high)

@@ -68,8 +68,9 @@ def _plain(result: Mapping[str, Any]) -> dict[str, float]:
 
 def columns_with_results(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
     """Return those of the `names` of columns for which at least one run has a result."""
-    return [name for name in names
-            if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)]  # fmt: skip
+    return [
+        name for name in names if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)
+    ]
 
 
 def _zhan(found: Reproduction) -> Iterator[str]:
@@ -108,8 +109,10 @@ def _units(found: Reproduction) -> Iterator[str]:
     yield "| unit | paper | " + " | ".join(columns_with_results(found)) + " |"
     yield "|---|---|" + "---|" * len(columns_with_results(found))
     for letter, unit in zip("ABCD", UNITS):
-        cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
-                 for name in columns_with_results(found)]  # fmt: skip
+        cells = [
+            _pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
+            for name in columns_with_results(found)
+        ]
         yield f"| {letter} {unit} | {_printed(*PRINTED[unit])} | " + " | ".join(cells) + " |"
     for letter, unit in zip("AB", UNITS):
         cells = [_metres(_of_unit(found, name, unit, "peak_travel")) for name in columns_with_results(found)]
@@ -135,8 +138,10 @@ def _open(found: Reproduction) -> Iterator[str]:
     yield "| | " + " | ".join("ABCD") + " | travel at the largest pressure of A [m] | of B |"
     yield "|---|---|---|---|---|---|---|"
     for name in [*(["calibrated"] if "calibrated" in columns_with_results(found) else []), *names]:
-        cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
-                 for unit in UNITS]  # fmt: skip
+        cells = [
+            _pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
+            for unit in UNITS
+        ]
         cells += [_metres(_of_unit(found, name, unit, "peak_travel")) for unit in UNITS[:2]]
         yield f"| {name} | " + " | ".join(cells) + " |"
     yield ""
@@ -182,8 +187,10 @@ def _pipelines(found: Reproduction) -> Iterator[str]:
     for place, (up, along, paper, recorded) in PIPELINES.items():
         cells = []
         for name in columns_with_results(found):
-            a, b = (found.mean(name, {**unit_case(unit, found.quick), **column_parameters(name)}, "end_pressure")
-                    for unit in UNITS[:2])  # fmt: skip
+            a, b = (
+                found.mean(name, {**unit_case(unit, found.quick), **column_parameters(name)}, "end_pressure")
+                for unit in UNITS[:2]
+            )
             cells.append(f"{(up * a + along * b) / 1e6:.1f}" if math.isfinite(a + b) else "-")
         yield f"| {place} | {recorded / 1e6:.1f} | {paper / 1e6:.2f} | " + " | ".join(cells) + " |"
     yield ""

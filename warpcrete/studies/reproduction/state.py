@@ -77,8 +77,10 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
     report, such as "calibrated".
     """
     group = f"{name}, hydrated" if row.is_hydrated else name
-    return [found.values(group, {**zhan_case(row, value, found.quick), **column_parameters(name)}, "peak_pressure")
-            for value in row.values]  # fmt: skip
+    return [
+        found.values(group, {**zhan_case(row, value, found.quick), **column_parameters(name)}, "peak_pressure")
+        for value in row.values
+    ]
 
 
 def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:

@@ -277,8 +277,9 @@ class Trade(Judging):
         # be missing from `self.base`; a missing parameter counts as None if its default is None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}
-        changed = {k: v for k, v in sorted(point.parameters.items())
-                   if self.base.get(k, None if k in plain else ...) != v}  # fmt: skip
+        changed = {
+            k: v for k, v in sorted(point.parameters.items()) if self.base.get(k, None if k in plain else ...) != v
+        }
         words = "-".join(f"{name}={name_part(value)}" for name, value in changed.items()) or "given"
         words = short_name("-".join([*point.variant.split(), words]))
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)

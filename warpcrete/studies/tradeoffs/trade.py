@@ -383,9 +383,11 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
     chosen = {knob.name for knob in trade.chosen_knobs}
     fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH_SEEDS)] if trade.has_seeds else []
     for target in WANTED_ERRORS:
-        within = [p for p in trade.measured
-                  if p.timed and trade.promised(p) <= target and not p.suspect
-                  and chosen.issuperset(p.levels)]  # fmt: skip
+        within = [
+            p
+            for p in trade.measured
+            if p.timed and trade.promised(p) <= target and not p.suspect and chosen.issuperset(p.levels)
+        ]
         promise = Promise(target, None)
         for point in sorted(within, key=lambda p: p.cost):
             tried = bool(fresh) and trade.run(point, fresh, tell)
@@ -411,9 +413,11 @@ def _test_variants(
     points: list[Setting] = []
     bound = trade.promised(point)
     others = [trade.carried(point, variant, changes) for variant, changes in variants.items()]
-    finest = [] if trade.exact or trade.reference is None else [
-        trade.carried(trade.reference, variant, changes) for variant, changes in variants.items()
-    ]  # fmt: skip
+    finest = (
+        []
+        if trade.exact or trade.reference is None
+        else [trade.carried(trade.reference, variant, changes) for variant, changes in variants.items()]
+    )
     for number, (variant, other) in enumerate(zip(variants, others)):
         needed = [other, *finest[number : number + 1]]
         if not all(trade.complete(each, trade.seeds) for each in needed):

@@ -157,8 +157,9 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     flows = tuple(amount("case flow", x, "m3/s") for x in _listed(given.get("flow", [])))
     measured = tuple(amount("case measured", x, unit) for x in _listed(given["measured"]))
     if given["kind"] in BY_FLOW and not flows:
-        raise SceneError(f"case flow: is missing in a case of kind {given['kind']!r}; add it, for example "
-                         "'flow: 30 m3/h'")  # fmt: skip
+        raise SceneError(
+            f"case flow: is missing in a case of kind {given['kind']!r}; add it, for example 'flow: 30 m3/h'"
+        )
     if given["kind"] != BLOCKING:
         for value in measured:
             positive("case measured", value, unit)

@@ -60,6 +60,7 @@ def compare(case: Case, held_out: bool = False) -> Comparison:
                    f"the concrete in the line, {weight:.4g} Pa", "check the unit of the pressure, the rises and the "
                    "density")  # fmt: skip
         measured = measured - weight
-    value, low, high = (float(np.exp(np.mean(np.log([max(getattr(x, end), 1e-9) for x in bands]))))
-                        for end in ("value", "low", "high"))  # fmt: skip
+    value, low, high = (
+        float(np.exp(np.mean(np.log([max(getattr(x, end), 1e-9) for x in bands])))) for end in ("value", "low", "high")
+    )
     return Comparison(case, held_out, float(np.exp(np.mean(np.log(measured)))), Band(value, low, high, bands[0].shares))

@@ -66,8 +66,7 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
     low, high = min(values) / 2, max(values) * 2
     line = np.array([left, right])
     axes.plot(line, line, color="0.4", label="prediction equals measurement")
-    axes.fill_between(line, line / 2, line * 2, color="0.92", linewidth=0,
-                      label="within a factor of two")  # fmt: skip
+    axes.fill_between(line, line / 2, line * 2, color="0.92", linewidth=0, label="within a factor of two")
     for group, style in STYLES.items():
         chosen = [each for each in own if _group(each) == group]
         if not chosen:

@@ -80,8 +80,10 @@ def _ratio(case: Case) -> list[Band]:
     found = []
     for q in case.flows:
         over, under = (_banded(each, lambda c, q=q: _gradient(c, diameter, q)) for each in (mix, other))
-        ends = {"concrete": (over.low / under.value, over.high / under.value),
-                "reference": (over.value / under.high, over.value / under.low)}  # fmt: skip
+        ends = {
+            "concrete": (over.low / under.value, over.high / under.value),
+            "reference": (over.value / under.high, over.value / under.low),
+        }
         found.append(combined(over.value / under.value, ends))
     return found
 
@@ -166,7 +168,7 @@ def _spread(case: Case) -> list[Band]:
         "yield stress": (width(mix["yield stress"].high), width(mix["yield stress"].low)),
         "theory": (spread, long_heap_spread(VOLUME, own.yield_stress, own.density)),
         "reading": (spread - READ_SPREAD, spread + READ_SPREAD),
-    }  # fmt: skip
+    }
     return [combined(spread, ends)]
 
 
@@ -188,14 +190,14 @@ def _funnel(case: Case) -> list[Band]:
         layer = (concrete.slip_viscosity, concrete.slip_yield, concrete.slip_flow_index,
                  concrete.slip_quadratic_viscosity) if slips else None  # fmt: skip
         law = {"flow_index": concrete.flow_index, "quadratic_viscosity": concrete.quadratic_viscosity}
-        return funnel_time(
-            *FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer, **law
-        )  # fmt: skip
+        return funnel_time(*FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer, **law)
 
     slips, sticks = (_banded(mix, lambda c, s=slips: time(c, s)) for slips in (True, False))
     value = math.sqrt(slips.value * sticks.value)
-    ends = {"walls": (slips.value, sticks.value),
-            "concrete": (value * slips.low / slips.value, value * sticks.high / sticks.value)}  # fmt: skip
+    ends = {
+        "walls": (slips.value, sticks.value),
+        "concrete": (value * slips.low / slips.value, value * sticks.high / sticks.value),
+    }
     return [combined(value, ends)]
 
 

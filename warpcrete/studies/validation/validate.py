@@ -93,8 +93,10 @@ class Validation:
     def counts(self) -> str:
         """Return sentences on the number of compared values that were measured, and of those with another origin."""
         of = {basis: sum(x.case.basis == basis and not x.simulated for x in self.comparisons) for basis in BASES}
-        return (f"{of['measurement']} of these values were measured. Those of a model ({of['model']}) or a guideline "
-                f"({of['guideline']}) have rows of their own.")  # fmt: skip
+        return (
+            f"{of['measurement']} of these values were measured. Those of a model ({of['model']}) or a guideline "
+            f"({of['guideline']}) have rows of their own."
+        )
 
     def summary_lines(self) -> list[str]:
         """Return the table of the statistics and the number of values by their origin, as lines of Markdown."""

@@ -24,13 +24,13 @@ def forecast(scene: PartSuspensionScene, device: Any, precision: str, threads: i
             "dimensions": dimensions(scene),
             "walls": "mesh" if scene.wall is not None else "exact",
             "aggregates": f"{in_words(simulation.flow.aggregates, scene)}; {int((simulation.entering > 0).sum())} of "
-                          "them enter during the run",
+            "them enter during the run",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
             **law_features(scene.concrete),
         },
         probe,
-    )  # fmt: skip
+    )
 
 
 METHOD = replace(

@@ -40,9 +40,9 @@ class ColumnWithAggregates(FlowParameters, AggregateParameters):
     aggregate_fraction: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
         float | None,
         "Volume fraction of the coarse aggregate. Without 'aggregates', each aggregate is a rigid body on a grid, and "
-            "the constants of the concrete describe the mortar. With 'aggregates', each is a rigid group of particles, "
-            "and the default is the gravel content of the concrete",
-    ] = None  # fmt: skip
+        "the constants of the concrete describe the mortar. With 'aggregates', each is a rigid group of particles, "
+        "and the default is the gravel content of the concrete",
+    ] = None
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), ANY_AGGREGATES] = 2630.0
     courant: Annotated[Courant, USED_BY_AGGREGATES] = 0.5
 
