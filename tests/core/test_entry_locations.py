@@ -96,6 +96,48 @@ def test_entries_of_a_concrete(tmp_path, text, expected):
     assert refused(lambda path: scenes.tube(concrete=str(path)), tmp_path / "a.yaml", text).startswith(expected)
 
 
+@pytest.mark.parametrize("suffix", ["yaml", "json"])
+def test_entries_of_a_base_name_the_file_of_the_base(tmp_path, suffix):
+    """Messages about an entry name the file that states it, which is any file of the chain of bases."""
+    base = {"yaml": "base: no1\nflow:\n  {}\n", "json": '{{"base": "no1",\n "flow": {{"{}}}}}'}[suffix]
+    wrong = {"yaml": "{}: -3", "json": '{}": -3'}[suffix]
+    (tmp_path / "derived.yaml").write_text(f"base: a.{suffix}\nflow: {{density: 2350}}\n", encoding="utf-8")
+    place = "a.yaml, line 3" if suffix == "yaml" else "a.json"
+
+    def read(_):
+        return scenes.tube(concrete=str(tmp_path / "derived.yaml"))
+
+    for key, says in (("vicosity", "concrete flow = 'vicosity': is an unknown"), ("viscosity", "concrete flow visc")):
+        said = refused(read, tmp_path / f"a.{suffix}", base.format(wrong.format(key)))
+        assert said.startswith(f"{place}: {says}")
+    own = "base: a.yaml\nelements:\n  density: 2400\n  frition: 0.2\n"
+    (tmp_path / "a.yaml").write_text("base: no1\nelements: {friction: 0.1}\n", encoding="utf-8")
+    said = refused(lambda path: scenes.pipe(concrete=str(path)), tmp_path / "own.yaml", own)
+    assert said.startswith("own.yaml, line 4: concrete elements = 'frition'")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("base: no1\nelements:\n  friction: wet\n", "a.yaml, line 3: friction = 'wet': must be a number"),
+        ("base: no1\nelements:\n  size_max: 20 mm\n  friction: -1\n", "a.yaml, line 4: friction = -1.0: must be"),
+        ("base: no1\nelements:\n  density: 2.35\n", "a.yaml, line 3: density = 2.35: is impossible"),
+        (MIX + "  slump: 18 cm\nelements:\n  friction: 1 kg\n", "a.yaml, line 6: friction = '1 kg': must be a number"),
+        (MIX + "  slump: 18 cm\nflow:\n  viscosity: 40 Pa\n", "a.yaml, line 6: concrete flow viscosity = '40 Pa'"),
+        (MIX + "  slump: 18 cm\nflow:\n  yield_factor: -1\n", "a.yaml, line 6: concrete flow yield_factor = -1.0"),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore::warpcrete.core.errors.PlausibilityWarning")
+def test_values_of_elements_and_of_mixes_with_a_flow(tmp_path, text, expected):
+    assert refused(lambda path: scenes.pipe(concrete=str(path)), tmp_path / "a.yaml", text).startswith(expected)
+
+
+def test_impossible_constants_of_a_flow(tmp_path):
+    text = "base: no1\nflow:\n  viscosity: 1e20 Pa s\n"
+    said = refused(lambda path: scenes.tube(concrete=str(path)), tmp_path / "a.yaml", text)
+    assert said.startswith("a.yaml, line 3: viscosity = '1e20 Pa s': is impossible")
+
+
 def test_points_may_repeat_their_unit(tmp_path):
     (tmp_path / "a.csv").write_text("flow [m3/h],pressure [bar]\n30 m3/h,20 bar\n40,2.5 MPa\n", encoding="utf-8")
     flows, pressures = read_points(tmp_path / "a.csv")
@@ -129,6 +171,17 @@ def test_entries_of_targets(tmp_path):
     said = refused(read, tmp_path / "a.yaml", TARGETS + "  uncertainty: 5 Pa\n")
     assert said.startswith("a.yaml, line 7: target 1 uncertainty = '5 Pa': must be a number")
     assert refused(read, tmp_path / "a.yaml", "targets: []\n").startswith("a.yaml: vary = None: must list one or")
+    right = TARGETS + "  uncertainty: 5%\n  parameters: {seed: 1}\n  held_out: false\n"
+    for place, (old, new, says) in enumerate((
+        ("scene: slump", "scene: slumps", "target 1 scene = 'slumps': must be one of"),
+        ("quantity: spread", "quantity: width", "quantity = 'width': is not a result of any scene"),
+        ("550 mm", "[550 mm]", "target 1 value = ['550 mm']: must be a finite number"),
+        ("5%", "0", "target 1 uncertainty = 0: must be a number above 0"),
+        ("{seed: 1}", "seed", "target 1 parameters = 'seed': must consist of 'name: value' pairs"),
+        ("false", "maybe", "target 1 held_out = 'maybe': must be true or false"),
+    )):  # fmt: skip
+        said = refused(read, tmp_path / "a.yaml", right.replace(old, new))
+        assert said.startswith(f"a.yaml, line {4 + place}: {says}")
 
 
 def test_entries_of_measured_cases(tmp_path):

@@ -22,8 +22,10 @@ from warpcrete.geometry import meshes
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.scenes import modules
+from warpcrete.studies.calibration.targets import task_of
 from warpcrete.studies.cases import MAX_CASES, cases_of
 
+PRESSURE = {"scene": "pipe", "quantity": "peak_pressure", "value": 6.2, "uncertainty": "5%"}
 FIELDS = {name: declared_fields(module.scene.parameters) for name, module in modules().items()}
 IMPOSSIBLE = (1e-300, -1e-300, 1e300, -1e300, 5e-324, 2e-310, -2e-310, 10**30, -(10**30), 10**400, float("nan"),
               float("inf"), -float("inf"), 1e-30, 1e30)  # fmt: skip
@@ -213,6 +215,12 @@ def test_bare_numbers_are_taken_for_what_they_were_meant():
         (lambda: line_of({"diameter": 0.05, "flow": 0.03, "parts": [{"straight": 10}]}),
          "flow = 0.03: makes the concrete flow at 15.3 m/s, which is unusual"),
         (lambda: scenes.pipe(velocity=20.0), "velocity = 20 m/s: is unusual"),
+        (lambda: line_of({"diameter": 0.125, "recorded": 20, "parts": [{"straight": 10}]}),
+         "recorded = 20 Pa: is unusual: concrete pumps deliver 3e6 to 5e7 Pa (30 to 500 bar); did you mean 20 bar or"),
+        (lambda: line_of({"diameter": 0.125, "recorded": 200, "parts": [{"straight": 10}]}),
+         "did you mean 200 bar or 200 psi?"),
+        (lambda: task_of({"vary": {"friction": [0.1, 0.3]}, "targets": [PRESSURE]}, modules()),
+         "peak_pressure of pipe = 6.2 Pa: is unusual: concrete pumps deliver 3e6 to 5e7 Pa (30 to 500 bar); did you"),
         (lambda: scenes.tube(flow=0.1, time_step=1e-4, sample_interval=1e-3),
          "flow = 0.1: makes the concrete flow at 12.7 m/s"),
         (lambda: mix_of(MIX | {"parts": PARTS | {"sand": 700}}),

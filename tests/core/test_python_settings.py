@@ -72,6 +72,19 @@ def test_settings_of_another_type_are_refused(function):
             assert str(error.value).isprintable()
 
 
+@pytest.mark.parametrize("function", ["Simulation", "RunFolder", "study", "trade", "explain", "view", "calibrate"])
+def test_a_misspelt_setting_is_refused_with_a_suggestion(function):
+    """A setting with one letter too many is refused with the right name, and one that resembles none is refused."""
+    call, names = CALLS[function]
+    if function == "calibrate":
+        pytest.importorskip("optuna"), pytest.importorskip("emcee"), pytest.importorskip("sklearn")
+    for name in names.split():
+        with pytest.raises(SceneError, match=rf"= '{name}x': is n.*did you mean '{name}'\?$"):
+            call(**{f"{name}x": 1})
+    with pytest.raises(SceneError, match="= 'qqq': is n"):
+        call(qqq=1)
+
+
 @pytest.mark.parametrize("folder", [None, 3, b"x", "a\0", ""])
 def test_what_is_no_folder_cannot_be_loaded(folder):
     with pytest.raises(WarpcreteError):

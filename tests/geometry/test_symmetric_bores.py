@@ -17,6 +17,8 @@ from warpcrete.mps.part.simulation import PartSimulation
 FLOW = {"concrete": "no1", "flow": 0.0055, "gravity": 0.0, "unit": "horizontal", "diameter": 0.125, "straight": 0.15,
         "spacing": 0.0156}  # fmt: skip
 BEND = Axis((0, 0, 0), (1, 0, 0), (Line(0.1), Arc(0.2, np.pi / 4, (0, 1, 0)), Line(0.1)))
+HEAVY = {"gravity": 9.81, "viscosity": 50, "yield_stress": 20, "density": 2200, "aggregate_fraction": 0.1,
+         "aggregate_smallest": 0.048, "aggregate_largest": 0.048, "duration": 0.1, "sample_interval": 0.05}  # fmt: skip
 SHORT = {"concrete": "no1", "flow": 1.5e-3, "straight": 0.3, "spacing": 0.0115}
 
 
@@ -73,6 +75,25 @@ def test_a_bulge_on_one_side_is_simulated_where_it_lies(tmp_path):
     sides = np.array([[0.0, 1.0, 0.6], [0.0, -1.0, -0.6]]) / np.hypot(1, 0.6)
     places = between.axis.at(s)[0] + 0.065 * sides
     assert (bore_distance(between)(Frame(between).to_grid(places)) > 0).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("depth", [0.5e-3, 4e-3])
+def test_a_dent_on_one_side_is_not_mirrored_away(tmp_path, depth):
+    """A dent of a few per cent of a cell lies where the mesh has it, and its mirror image does not appear."""
+    aside, between, level = (
+        scenes.part(**FLOW | given, wall=bulged(straight_tube(tmp_path / f"{name}.stl"), towards, -depth))
+        for name, towards, given in (("aside", (0, 1, 0), {}), ("between", (0, 1, 1), {}), ("level", (0, 1, 0), HEAVY))
+    )
+    assert aside.is_half and abs(aside.orientation.axes[1]) == pytest.approx([0, 0, 1])
+    # Both planes through the axis mirror the second dent away, and the third one lies beside the only vertical plane.
+    for scene, towards in ((between, (0, 1, 1)), (level, (0, 1, 0))):
+        assert not scene.is_half and "differs from its mirror image" in scene.orientation.obstacle
+        dent, beside = np.array(towards), np.cross((1, 0, 0), towards)
+        sides = np.stack([dent, -dent, beside, -beside]) / np.linalg.norm(dent)
+        edge = scene.axis.at(np.full(4, 0.15))[0] + (0.0625 - 0.3 * depth) * sides
+        assert (bore_distance(scene)(Frame(scene).to_grid(edge)) > 0).tolist() == [False, True, True, True]
+    bend = scenes.part(wall=bulged(bent(tmp_path / "bend.stl", BEND), (0, 0, 1), -depth), **SHORT)
+    assert not bend.is_half
 
 
 def test_a_remark_on_symmetry_follows_the_scene(tmp_path):

@@ -11,6 +11,7 @@ from mixes import BULK, SPREADING, STONES, written
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import PlausibilityWarning
+from warpcrete.core.inputs.amounts import GALLON, POUND
 from warpcrete.core.inputs.concretes import concrete
 from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.dem.scene.concretes import COVERAGE
@@ -257,13 +258,49 @@ def test_factors_of_age_and_temperature_have_a_source(tmp_path, capsys):
         read_mix(path)
 
 
-def test_a_dosage_per_hundred_pounds_of_cement_is_an_amount_per_cubic_yard():
-    """With 600 lb of cement in a cubic yard, 4 oz/cwt are 24 oz/yd3; fly ash does not count."""
-    parts = {"cement": "600 lb/yd3", "fly ash": "100 lb/yd3", "water": "33 gal/yd3", "sand": "1300 lb/yd3",
-             "stone": "1750 lb/yd3"}  # fmt: skip
-    own, plain = (mix_of({"parts": parts | {"water reducer": dose}, "slump": "5 in"}) for dose in
-                  ("4 oz/cwt", "24 oz/yd3"))  # fmt: skip
-    assert own.given.parts == pytest.approx(plain.given.parts)
+def test_factors_of_a_base_keep_their_source(tmp_path):
+    """Along a chain of bases, each factor keeps its own source; a base's factors also hold for a mix of one's own."""
+    flows = {
+        "a": {"yield_factor": 1.5, "factor_source": "cone"},
+        "b": {"viscosity_factor": 1.2, "factor_source": "rheometer"},
+        "c": {"yield_factor": 2, "factor_source": "vane"}, "d": {"yield_factor": 3}, "e": {"factor_source": "nobody"},
+    }  # fmt: skip
+    for name, flow in flows.items():
+        base = {"a": "no1", "e": "b.yaml"}.get(name, f"{chr(ord(name) - 1)}.yaml")
+        (tmp_path / f"{name}.yaml").write_text(yaml_text({"base": base, "flow": flow}), encoding="utf-8")
+
+    def source(name):
+        return concrete(str(tmp_path / f"{name}.yaml")).factor_source
+
+    assert source("a") == "cone" and source("b") == "yield_factor: cone; viscosity_factor: rheometer"
+    assert source("c") == "yield_factor: vane; viscosity_factor: rheometer"
+    with pytest.warns(PlausibilityWarning, match="concrete d: yield_factor without a source"):
+        assert source("d") == "viscosity_factor: rheometer"
+    with pytest.warns(PlausibilityWarning, match="concrete e: factor_source has no effect, because"):
+        assert source("e") == source("b")
+    path = tmp_path / "own.yaml"
+    path.write_text("base: b.yaml\nmix: {density: 2350, slump: 180 mm}\n", encoding="utf-8")
+    mix = read_mix(path)
+    assert mix.factors == (1.5, 1.2) and source("b") in mix.remarks[-1]
+    assert scenes.tube(concrete=path).concrete.yield_stress == 1.5 * mix["yield stress"].value
+
+
+def test_a_dosage_per_hundred_pounds_of_cement_is_an_amount_per_cubic_yard(tmp_path):
+    """With 500 lb of cement and 100 lb of fly ash in a cubic yard, 4 oz/cwt are 24 oz/yd3, and limestone counts not."""
+    parts = {"cement": "500 lb/yd3", "fly ash": "100 lb/yd3", "limestone powder": "100 lb/yd3", "water": "33 gal/yd3",
+             "sand": "1300 lb/yd3", "stone": "1750 lb/yd3"}  # fmt: skip
+    plain, *others = (mix_of({"parts": parts | {"water reducer": dose}, "slump": "5 in"}) for dose in (
+        "24 oz/yd3", "4 oz/cwt", "4 fl. oz. / cwt", "4 fl oz per cwt", "4 oz/100 lb", "4 oz. per 100 lbs",
+        f"{4 * GALLON / 128 / POUND * 1e6:.5f} ml/100 kg"))  # fmt: skip
+    for own in others:
+        assert own.given.parts == pytest.approx(plain.given.parts, rel=1e-6)
+    wrong = parts | {"fly ash": "100 lbs/acre", "water reducer": "4 oz/cwt"}
+    path = written(tmp_path, {"slump": "5 in", "parts": wrong})
+    line = next(k for k, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1) if "acre" in text)
+    with pytest.raises(SceneError, match=rf"^{path.name}, line {line}: mix parts: fly ash = '100 lbs/acre'"):
+        read_mix(path)
+    with pytest.raises(SceneError, match=r"'250 ml/100 kg': is an amount per 100 kg of cement, but .* write ml/m3$"):
+        mix_of({"parts": {"water reducer": "250 ml/100 kg"}, "slump": "5 in"})
     load = {name: text.replace("/yd3", "") for name, text in parts.items()} | {"water reducer": "4 fl oz/cwt"}
     loaded = mix_of({"volume": "1 yd3", "parts": load, "slump": "5 in"})
     assert loaded.given.parts == pytest.approx(plain.given.parts)

@@ -33,7 +33,7 @@ from warpcrete.mix import entries as mixes
 from warpcrete.mix import measurements, stones
 from warpcrete.mix.mix import FACTORS
 from warpcrete.mix.points import PUMPED
-from warpcrete.mix.reading import PER_CEMENT
+from warpcrete.mix.reading import PER_BINDER
 from warpcrete.mps.common.mixes import ConcreteParameters
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.targets import TARGET_KEYS
@@ -65,7 +65,7 @@ def concrete_schema() -> Schema:
     constants = declared_fields(Concrete) | {name: declared_fields(ConcreteParameters)[name] for name in FACTORS}
     source = TEXT | {"description": "source of the factors for another age or temperature"}
     texts = [{"type": "string", "pattern": text_pattern(unit)} for unit in ("kg/m3", "m3/m3", "kg", "m3")]
-    texts.append({"type": "string", "pattern": rf"^\s*{PER_CEMENT.pattern}\s*$"})
+    texts.append({"type": "string", "pattern": rf"^\s*{PER_BINDER.pattern}\s*$"})
     found = {
         **{name: TEXT | {"description": TEXT_DESCRIPTIONS[name]} for name in TEXTS},
         "elements": _object({name: field_schema(fields[name]) for name in known}, "parameters of discrete elements"),

@@ -2,18 +2,22 @@
 
 import difflib
 import errno
+import functools
+import inspect
 import math
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
-from typing import NoReturn, cast
+from typing import NoReturn, ParamSpec, TypeVar, cast
 
 import numpy as np
 
 from .narrowing import is_number
 from .written_numbers import written_text
 
+P = ParamSpec("P")
+T = TypeVar("T")
 LONGEST_VALUE = 160
 """Maximum number of characters of a value or of a field's name that a message quotes."""
 LONGEST_MESSAGE = 2000
@@ -25,6 +29,7 @@ the size."""
 MOST_NAMES_LISTED = 12
 """Maximum number of allowed names that an error message lists if it can also suggest the name that was probably meant.
 If there are more names, the message contains only the suggestion."""
+KEYWORDS = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """System error numbers (errno) of a full disk, an exceeded quota, and a file larger than the process may write."""
 
@@ -226,6 +231,27 @@ def known_names(word: object, known: Iterable[object]) -> str:
     if suggestion and len(names) > MOST_NAMES_LISTED:
         return suggestion
     return f"must be one of {', '.join(names)}" + (f"; {suggestion}" if suggestion else "")
+
+
+def refuse_unknown_settings(function: Callable[..., object], settings: Iterable[str]) -> None:
+    """Raise :class:`SceneError` about the first of the `settings` that `function` does not accept as a keyword."""
+    known = [each.name for each in inspect.signature(function).parameters.values() if each.kind in KEYWORDS]
+    for name in settings:
+        if name not in known:
+            called = function.__qualname__.removesuffix(".__init__").removeprefix("run_")
+            settings = [each for each in known if each != "self"]
+            refuse("setting", name, f"is not a setting of {called}", known_names(name, settings))
+
+
+def with_suggestions(function: Callable[P, T]) -> Callable[P, T]:
+    """Return a function that calls `function`, but suggests a name if it gets an unknown keyword."""
+
+    @functools.wraps(function)
+    def called(*args: P.args, **settings: P.kwargs) -> T:
+        refuse_unknown_settings(function, settings)
+        return function(*args, **settings)
+
+    return called
 
 
 def _after(unit: str) -> str:

@@ -77,7 +77,6 @@ STATED = {
 PARTS = {kind: {**entries, **STATED} for kind, entries in PARTS.items()}
 LIMITED_AS = {
     "largest_stone": "size_max",
-    "recorded": "pressure",
     "to": "diameter",
     "outlet": "diameter",
     "radius": "bend_radius",

@@ -46,10 +46,10 @@ def pump_of(given: Any) -> Pump:
             called, unit = f"pump {key}", PUMP[key][0]
             found[key] = amount(called, value, unit)
             positive(called, found[key], unit)
-            check_limit(called, found[key], unit, key)
             if key == "pressure" and found[key] < WEAKEST:
                 problem = f"must be at least {WEAKEST:g} Pa; concrete pumps deliver 30 to 400 bar"
                 refuse(called, found[key], problem, "write the unit, for example '70 bar'")
+            check_limit(called, found[key], unit, key)
     if "pressure" not in found:
         hint = "add the largest pressure from the data sheet, for example 'pressure: 85 bar'"
         refuse("pump", dict(entries), "has no 'pressure'", hint)

@@ -53,6 +53,9 @@ LIQUIDS = (*WATERS, "superplasticizer", "superplasticiser", "plasticizer", "plas
 """Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
 CEMENTS = ("cement", "clinker", "cem", "opc", "type", "binder")
 """Words in the names of ingredients that are cement."""
+CEMENTITIOUS = (*CEMENTS, "slag", "ggbs", "ggbfs", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
+                "microsilica", "fume")  # fmt: skip
+"""Words in the names of ingredients that are cementitious material, for which dosages of admixtures per 100 lb hold."""
 GENERAL = ("type", "powder", "binder")
 """Words that tell only that an ingredient is powder. Another known word in its name, such as "limestone" in "limestone
 powder", says which kind of powder it is."""
@@ -112,9 +115,9 @@ def powder_mass(parts: Mapping[str, float]) -> float:
     return sum(mass for name, mass in parts.items() if _noun(name) in POWDERS)
 
 
-def is_cement(name: str) -> bool:
-    """Return whether the ingredient called `name` is cement."""
-    return _noun(name) in CEMENTS
+def is_cementitious(name: str) -> bool:
+    """Return whether the ingredient called `name` is cement, or slag, ash or another powder that reacts with it."""
+    return _noun(name) in CEMENTITIOUS
 
 
 def cement_mass(parts: Mapping[str, float]) -> float:
@@ -300,9 +303,13 @@ def _check_stated(name: str, value: Any) -> None:
     if (sacks := re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)[\s-]*(?:sack|bag)s?(?:/yd3|/cy)?", text.strip())) is not None:
         hint = f"a US sack of cement has 94 lb: write '{94 * float(sacks[1]):g} lb/yd3' if they are per cubic yard"
         refuse(field, value, "is a number of sacks, but must be a mass per volume of concrete", hint)
-    if "cwt" in text:
-        hint = "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3"
-        refuse(field, value, "is an amount per 100 lb of cement, but must be an amount per volume of concrete", hint)
+    if (per := re.search(r"\bcwt\b|(?:/|\bper)\s*100\s*(lb|kg)", text)) is not None:
+        of, masses, volume, unit = (
+            ("kg", "kilograms", "metre", "ml/m3") if per[1] == "kg" else ("lb", "pounds", "yard", "oz/yd3")
+        )
+        hint = (f"multiply it by the {masses} of cement, slag and ash in a cubic {volume}, divide by 100, and write "
+                f"{unit}")  # fmt: skip
+        refuse(field, value, f"is an amount per 100 {of} of cement, but must be an amount per volume of concrete", hint)
     if "%" in text:
         hint = "give its mass in a cubic metre, as in '120 kg/m3'"
         if admixture:

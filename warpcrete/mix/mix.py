@@ -12,6 +12,7 @@ from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import FACTOR_KEYS, NamedConcrete, concrete, known_only
 from ..core.inputs.customary import both
 from ..core.inputs.text_files import errors_in_file, errors_located_at
+from ..core.inputs.yaml_files import merged
 from ..core.run.tables import dataframe
 from ..theory.pipe import Concrete, scaled
 from .entries import MixEntries
@@ -261,7 +262,10 @@ def mix_in(found: NamedConcrete) -> Mix | None:
     if found.mix is None:
         return None
     stated = known_only("flow", found.mix.flow, {**FLOW, **LAWS, **FACTORS}, found.name)
-    yields, viscous = (amount(f"concrete flow {key}", stated.pop(key, plain), "1") for key, plain in FACTORS.items())
+    for key, value in stated.items():
+        with errors_located_at(stated, key):
+            stated[key] = _flow_amount(key, value)
+    yields, viscous = (stated.pop(key, plain) for key, plain in FACTORS.items())
     with errors_in_file(getattr(found.mix.values, "path", None)):
         mix = mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
     if yields == viscous == 1.0:
@@ -396,5 +400,5 @@ def completed(name: str) -> NamedConcrete:
     mix = mix_in(found)
     if found.mix is None or mix is None:
         return found
-    elements = {**found.elements, **mix.elements, **found.mix.elements}
-    return replace(found, elements=elements, flow={**found.flow, **mix.flow})
+    elements = merged(found.elements, mix.elements, found.mix.elements)
+    return replace(found, elements=elements, flow=merged(found.flow, mix.flow))

@@ -15,7 +15,7 @@ from .entries import CLASSES, GRAVEL, KEYS, LARGEST_NAMES, NO_ENTRIES, NUMBERS, 
 from .ingredients import (
     MIN_AMOUNT,
     check_volume,
-    is_cement,
+    is_cementitious,
     is_coarse,
     is_ingredient,
     is_thickener,
@@ -60,8 +60,15 @@ ingredients. With a larger difference, the mix is refused."""
 SHARE_TOLERANCE = 0.25
 """Relative difference between the stated share of coarse aggregate and the share of stones among the ingredients, above
 which a warning is given. Coarse sand may count as aggregate, and the densities of rocks differ by some per cent."""
-PER_CEMENT = re.compile(r"([0-9]{1,4}(?:\.[0-9]{1,6})?)\s*(?:fl\.?\s*)?oz\s*/\s*cwt", re.IGNORECASE)
-"""Amount of an admixture in fluid ounces per 100 lb of cement, as in "4 oz/cwt"."""
+PER_BINDER = re.compile(
+    r"([0-9]{1,4}(?:\.[0-9]{1,6})?)\s*(?:((?:fl\.?\s*)?oz\.?)\s*(?:/|per)\s*(?:cwt\.?|100\s*lbs?\.?)|"
+    r"m[lL]\s*(?:/|per)\s*100\s*kg)",
+    re.IGNORECASE,
+)
+"""Amount of an admixture per 100 lb or 100 kg of cementitious material, as in "4 oz/cwt" or "250 ml/100 kg".
+
+The groups are the number and the fluid ounce, which is missing in an amount in millilitres.
+"""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
 
@@ -328,21 +335,23 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
 
 
 def _by_volume(parts: Mapping[str, Any], load: float | None) -> dict[str, Any]:
-    """Return the ingredients, with amounts of admixtures per 100 lb of cement converted to amounts per cubic yard.
+    """Return the ingredients, with amounts of admixtures per 100 lb or 100 kg converted to amounts per volume.
 
-    An amount such as "4 oz/cwt" is converted only if the cement is known; other texts stay as they are. `load` is the
-    volume of the concrete in which the ingredients are contained [m3], or None for a cubic metre.
+    An amount such as "4 oz/cwt" refers to the cementitious material, which is cement with slag, ash and the like. The
+    amount is converted only if the mass of this material is known; other texts stay as they are. `load` is the volume
+    of the concrete in which the ingredients are contained [m3], or None for a cubic metre.
     """
     dosed = {name: found for name, value in parts.items()
-             if isinstance(value, str) and (found := PER_CEMENT.fullmatch(value.strip()))}  # fmt: skip
-    found = dict(parts)
-    if dosed:
-        cement = {
-            str(name): mass_per_volume(str(name), value, load) for name, value in parts.items() if is_cement(str(name))
-        }
-        pounds = sum(cement.values()) / amount("cement", "1 lb/yd3", "kg/m3")
-        if pounds > 0:
-            found |= {name: f"{float(text[1]) * pounds / 100:.6g} oz/yd3" for name, text in dosed.items()}
+             if isinstance(value, str) and (found := PER_BINDER.fullmatch(value.strip()))}  # fmt: skip
+    found, binder = dict(parts), 0.0
+    for name, value in parts.items() if dosed else ():
+        if is_cementitious(str(name)):
+            with errors_located_at(parts, name):
+                binder += mass_per_volume(str(name), value, load)
+    pounds = binder / amount("binder", "1 lb/yd3", "kg/m3")
+    if binder > 0:
+        found |= {name: f"{float(text[1]) * pounds / 100:.6g} oz/yd3" if text[2] else
+                  f"{float(text[1]) * binder / 100:.6g} ml/m3" for name, text in dosed.items()}  # fmt: skip
     return found
 
 

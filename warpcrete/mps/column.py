@@ -11,6 +11,7 @@ from ..core.errors import at_least_and_below, positive, refuse
 from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.inputs.limits import check_velocity, warn
 from ..core.inputs.parameters import Above, Needs, OneOf
+from ..core.inputs.yaml_files import merged
 from ..core.run.checks import with_cures
 from ..core.run.run import Run
 from ..core.units import number
@@ -122,7 +123,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         They are the flow constants and, for a flow with two phases, the parameters of the aggregate. A run's record
         keeps these values, so that the run can be repeated even if the file changes later.
         """
-        return {**file_constants(values), **file_aggregates(values)}
+        return merged(file_constants(values), file_aggregates(values))
 
     def constants(self) -> Concrete:
         """Return the concrete (density, flow law and slip layer) that these parameters describe."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import one_of, refuse
+from ..core.errors import one_of, refuse, with_suggestions
 from ..core.inputs.field_help import help_on_fields
 from ..core.inputs.origin import Arguments
 from ..core.run.checks import Check
@@ -117,6 +117,9 @@ class RunFolder:
             self.path, check_of(simulation.scene), self._chosen(), look, settings,
             going_on=self._holds_run(), again=not self.resumed,
         )  # fmt: skip
+
+
+RunFolder.__init__ = with_suggestions(RunFolder.__init__)
 
 
 def check_of(scene: Any) -> Check | None:

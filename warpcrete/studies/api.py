@@ -61,7 +61,7 @@ def study(
     if quiet is not None:
         flag("quiet", quiet)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
-    check_settings(scene, given, SETTINGS)
+    check_settings(scene, given, (*SETTINGS, "vary", "out", "quiet"))
     folder = output_folder(out, "study")
     if "progress" in settings:
         return run_study(name, module, vary, base=given, out=folder, **settings)

@@ -23,7 +23,7 @@ from ..errors import known_names, one_line, refuse, suggested
 from ..narrowing import is_dict
 from .limits import warn
 from .text_files import errors_in_file, errors_located_at, name_of, read_mapping
-from .yaml_files import FileMapping
+from .yaml_files import merged
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "concretes"
 FILES = (".yaml", ".yml", ".json")
@@ -76,8 +76,19 @@ class NamedConcrete:
     flow: Mapping[str, float] = field(default_factory=dict[str, float])
     """Constants of this concrete as a yield stress fluid with a slip layer, in SI units; empty if unknown."""
     mix: MixSection | None = None
-    factor_source: str = ""
-    """Source of the factors for another age or temperature in the section `flow`; empty if the file states none."""
+    factor_sources: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Source of each factor for another age or temperature in the section `flow`, by the name of the factor.
+
+    The source is empty if the file with this factor states none.
+    """
+
+    @property
+    def factor_source(self) -> str:
+        """Source of the factors as one text, with the names of the factors if they have different sources."""
+        stated = {key: source for key, source in self.factor_sources.items() if source}
+        if len(set(self.factor_sources.values())) <= 1:
+            return next(iter(stated.values()), "")
+        return "; ".join(f"{key}: {source}" for key, source in stated.items())
 
 
 @functools.cache
@@ -149,7 +160,7 @@ def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
                 hint = f"write each property on a line of its own below '{section}:', and indent these lines"
                 refuse(f"concrete {section}", found, problem, hint)
         sections[section] = found
-    factor_source = _factor_source(given, sections["flow"], name_of(path))
+    factor_sources = _factor_sources(given, sections["flow"], name_of(path))
     if "mix" in given and not is_dict(given["mix"]):
         with errors_located_at(given, "mix"):
             hint = f"write 'base: {given['mix']}'" if given["mix"] in shipped() else "indent them below 'mix:'"
@@ -164,38 +175,49 @@ def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
             base = _base(texts.pop("base"), path, depth)
         # Values in a concrete's file take precedence over values that follow from the mix of the base concrete.
         if mix is None and base.mix is not None:
-            both = {section: _merged(getattr(base.mix, section), sections[section]) for section in SECTIONS}
+            both = {section: merged(getattr(base.mix, section), sections[section]) for section in SECTIONS}
             mix = replace(base.mix, **both)
-        if not factor_source and not any(key in sections["flow"] for key in FACTOR_KEYS):
-            factor_source = base.factor_source
-        sections = {section: _merged(getattr(base, section), sections[section]) for section in SECTIONS}
+        elif mix is not None:
+            mix = replace(mix, flow=merged(_factors(base.flow), mix.flow))
+        factor_sources = {**base.factor_sources, **factor_sources}
+        sections = {section: merged(getattr(base, section), sections[section]) for section in SECTIONS}
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
         hint = "add a section 'elements', 'flow' or 'mix', or name another concrete, as in 'base: no1'"
         refuse("concrete", str(path), "defines no properties", hint)
     return NamedConcrete(
         **{"name": name_of(path), **texts}, elements=sections["elements"], flow=sections["flow"], mix=mix,
-        factor_source=factor_source,
+        factor_sources=factor_sources,
     )  # fmt: skip
 
 
-def _factor_source(given: Mapping[str, Any], flow: dict[str, Any], name: str) -> str:
-    """Remove the entry `factor_source` from the section `flow` of the concrete `name`, and return it as one line.
+def _factor_sources(given: Mapping[str, Any], flow: dict[str, Any], name: str) -> dict[str, str]:
+    """Remove the entry `factor_source` from the section `flow` of the concrete `name`.
 
-    `given` are all entries of the file. A warning is given if the section states a factor other than 1 without a
-    source.
+    Return the source of each factor in the section as one line. `given` are all entries of the file. A warning is given
+    if the section states a factor other than 1 without a source, or a source without a factor.
     """
     with errors_located_at(given, "flow"):
         stated = flow.pop(FACTOR_SOURCE, None)
         if stated is not None and not isinstance(stated, (str, int, float)):
             refuse(f"concrete flow {FACTOR_SOURCE}", stated, "must be a text, such as 'tribometer after 60 min'")
     source = "" if stated is None else one_line(str(stated))
-    if not source and (factors := [key for key in FACTOR_KEYS if not _is_one(flow.get(key, 1))]):
-        warn(
-            f"concrete {name}: {' and '.join(factors)} without a source; state where the numbers come from, as in "
-            f"'{FACTOR_SOURCE}: tribometer after 60 min'"
-        )
-    return source
+    factors = [key for key in FACTOR_KEYS if key in flow]
+    if not source and (unsourced := [key for key in factors if not _is_one(flow[key])]):
+        warn(f"concrete {name}: {' and '.join(unsourced)} without a source; state where the numbers come from, as in "
+             f"'{FACTOR_SOURCE}: tribometer after 60 min'")  # fmt: skip
+    if source and not factors:
+        warn(f"concrete {name}: {FACTOR_SOURCE} has no effect, because the section 'flow' of this file states no "
+             f"factor; add {' or '.join(FACTOR_KEYS)}, or remove it")  # fmt: skip
+    return dict.fromkeys(factors, source)
+
+
+def _factors(flow: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the factors for another age or temperature in a section `flow`."""
+    found = merged(flow)
+    for key in set(found).difference(FACTOR_KEYS):
+        del found[key]
+    return found
 
 
 def _is_one(factor: object) -> bool:
@@ -205,18 +227,6 @@ def _is_one(factor: object) -> bool:
         return float(text.rstrip("%")) == (100.0 if text.endswith("%") else 1.0)
     except ValueError:
         return False
-
-
-def _merged(base: Mapping[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Return the entries of a section of two files, of which `own` takes precedence and `base` is the base concrete.
-
-    The result knows the lines of the entries in `own`, so that messages can name them.
-    """
-    if not isinstance(own, FileMapping):
-        return {**base, **own}
-    found = FileMapping({**base, **own})
-    found.path, found.lines = own.path, own.lines
-    return found
 
 
 def _base(name: str, path: Path, depth: int) -> NamedConcrete:
@@ -234,4 +244,4 @@ def known_only(section: str, values: Mapping[str, object], known: Collection[str
         if key not in known:
             with errors_located_at(values, key):
                 refuse(f"concrete {section}", key, f"is an unknown parameter (in {name})", known_names(key, known))
-    return dict(values)
+    return merged(values)

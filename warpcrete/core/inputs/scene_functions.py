@@ -15,6 +15,8 @@ from typing import Any, Generic, ParamSpec, TypeVar
 from ..errors import SceneError, known_names, quoted, refuse
 from .origin import Arguments, files_read
 from .parameters import WORDS, CompositeRule, Declared, Field, Needs, T, declared_fields
+from .text_files import errors_located_at
+from .yaml_files import merged
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -96,16 +98,18 @@ class SceneFunction(Generic[P, S]):
         if args:
             hint = f"such as {next(iter(known))}=...; help(warpcrete.scenes.{self.__name__}) lists them"
             refuse("parameters", args, "must be given by name, as in name=value", hint)
-        values = self.with_objects(self.completed(given))
+        completed = self.completed(given)
+        values = self.with_objects(completed)
         for name in values:
             if name not in known:
                 problem = f"is not a parameter of scene {self.name}"
                 refuse("parameter", name, problem, self._elsewhere(name) or known_names(name, known))
         try:
             for name, value in values.items():  # Check each value by itself before values are combined.
-                made = known[name].converted(value, name)
-                known[name].check(made, name)
-                known[name].check_limits(made, name)
+                with errors_located_at(completed, name):
+                    made = known[name].converted(value, name)
+                    known[name].check(made, name)
+                    known[name].check_limits(made, name)
             parameters = self.parameters(**values)
             parameters.check_needed()
             with files_read() as files:
@@ -207,13 +211,18 @@ class SceneFunction(Generic[P, S]):
         """Return the parameters in `given`, by name, together with parameters that follow from them.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
+        The result knows the file and line of each parameter that comes from a file.
         """
         values = self.resolved(given)
-        implied = {name: value for name, value in self.parameters.implied(values).items() if name not in values}
+        implied = merged(self.parameters.implied(values))
+        for name in values:
+            implied.pop(name, None)
         if not implied:
             return values
-        meant = self._effective(implied | values)
-        return values | {name: value for name, value in implied.items() if name in meant}
+        meant = self._effective(merged(implied, values))
+        for name in set(implied).difference(meant):
+            del implied[name]
+        return merged(values, implied)
 
     def effective_values(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Return the parameters in `given` that have an effect, by name."""
@@ -221,9 +230,9 @@ class SceneFunction(Generic[P, S]):
         meant = self._effective({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}
 
-    def _effective(self, values: dict[str, Any]) -> dict[str, Any]:
+    def _effective(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the parameters in `values` that have an effect; this may depend on the values of other parameters."""
-        known = declared_fields(self.parameters)
+        known, origins = declared_fields(self.parameters), values
         composite = {name: field for name, field in known.items() if any(field.of_kind(CompositeRule))}
 
         def meant(name: str) -> bool:
@@ -233,7 +242,8 @@ class SceneFunction(Generic[P, S]):
             return all(rule.holds(converted) for rule in rules)
 
         def converted(name: str) -> object:
-            return held(name) if name in composite else known[name].converted(held(name), name)
+            with errors_located_at(origins, name):
+                return held(name) if name in composite else known[name].converted(held(name), name)
 
         def held(name: str) -> object:
             return values.get(name, known[name].default)

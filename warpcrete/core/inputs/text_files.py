@@ -39,13 +39,22 @@ def errors_located_at(container: Any, key: Any) -> Generator[None]:
     try:
         yield
     except SceneError as error:
-        lines = getattr(container, "lines", None)
-        known = key in lines if isinstance(lines, dict) else lines is not None and 0 <= key < len(lines)
-        if lines is None or not known or getattr(error, "located", False):
+        place = _place_of(container, key)
+        if not place or getattr(error, "located", False):
             raise
-        located = type(error)(f"{one_line(container.path.name, LONGEST_VALUE)}, line {lines[key]}: {error}")
+        located = type(error)(f"{place}: {error}")
         located.located = True  # type: ignore[attr-defined]
         raise located from error
+
+
+def _place_of(container: Any, key: Any) -> str:
+    """Return the file name and, if known, the line number of an entry; empty if the file or the key is unknown."""
+    files, lines = getattr(container, "files", {}), getattr(container, "lines", None)
+    known = key in lines if isinstance(lines, dict) else lines is not None and 0 <= key < len(lines)
+    if not known and key not in files:
+        return ""
+    path = files.get(key) or container.path
+    return one_line(path.name, LONGEST_VALUE) + (f", line {lines[key]}" if known else "")
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -43,6 +44,27 @@ class FileMapping(dict[str, Any]):
 
     path: Path
     lines: dict[str, int]
+    files: Mapping[str, Path] = MappingProxyType({})
+    """Files of the entries of a mapping that :func:`merged` made from several files."""
+
+
+def merged(*mappings: Mapping[str, Any]) -> FileMapping:
+    """Return the entries of all `mappings`, of which later ones take precedence, with the file and line of each entry.
+
+    Entries of a mapping that was not read from a file have neither.
+    """
+    found, lines, files = FileMapping(), dict[str, int](), dict[str, Path]()
+    for mapping in mappings:
+        for key, value in mapping.items():
+            found[key] = value
+            lines.pop(key, None)
+            files.pop(key, None)
+            if isinstance(mapping, FileMapping):
+                lines |= {key: mapping.lines[key]} if key in mapping.lines else {}
+                path = mapping.files.get(key, getattr(mapping, "path", None))
+                files |= {} if path is None else {key: path}
+    found.lines, found.files = lines, files
+    return found
 
 
 class FileList(list[Any]):

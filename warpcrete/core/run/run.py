@@ -17,7 +17,7 @@ import numpy as np
 
 from ..drawing.html import html_table
 from ..drawing.style import SERIES, legend_above, new_figure, open_frame, rgb
-from ..errors import RunFolderError, WarpcreteError, flag, one_of, refuse
+from ..errors import RunFolderError, WarpcreteError, flag, one_of, refuse, with_suggestions
 from ..inputs.origin import readable
 from ..narrowing import is_dict
 from ..units import shown
@@ -222,6 +222,7 @@ class Run:
             self.final_state = None
         return output.path
 
+    @with_suggestions
     def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
         """Open the recording in the run's folder in Rerun's viewer, without waiting for the viewer to close.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..device.simulation_protocol import SimulationOnDevice
 from ..drawing.display import Display
-from ..errors import refuse
+from ..errors import refuse, refuse_unknown_settings
 from ..inputs.scene_functions import SceneFunction
 from .coroutines import Coroutine, Until
 from .ending import Ending
@@ -64,6 +64,7 @@ class SimulationBase(SimulationOnDevice):
             SimulationBase.kinds.append(cls)
 
     def __new__(cls: type[S], scene: object, **settings: object) -> S:
+        refuse_unknown_settings(cls.__init__, settings)
         kind: Any = cls
         kinds = SimulationBase.kinds
         if not hasattr(cls, "scene_type"):

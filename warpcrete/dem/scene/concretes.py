@@ -7,6 +7,7 @@ from typing import Any
 from ...core.errors import refuse
 from ...core.inputs.concretes import NamedConcrete, known_only
 from ...core.inputs.limits import warn
+from ...core.inputs.yaml_files import merged
 from ...mix.mix import FACTORS, completed, flow_amounts
 
 SIZES = ("sizes", "size_min", "size_max")
@@ -37,7 +38,7 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     section = found.elements or _of_flow(found)
     if found.mix is not None:
         layer_given = {"layer_yield", "layer_viscosity"} <= set(found.mix.elements)
-        section = {**found.elements, **_of_flow(found, layer_given), **found.mix.elements}
+        section = merged(found.elements, _of_flow(found, layer_given), found.mix.elements)
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
         warn(
@@ -47,7 +48,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
         )
     # The elements get the bulk density of the concrete, unless the user gives a density.
     if "density" in values:
-        section = {key: value for key, value in section.items() if key != "bulk_density"}
+        section = merged(section)
+        section.pop("bulk_density", None)
     return known_only("elements", section, known, name)
 
 

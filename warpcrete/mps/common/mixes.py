@@ -10,6 +10,7 @@ from ...core.errors import one_of, refuse
 from ...core.inputs.concretes import is_file, shipped
 from ...core.inputs.parameters import Above, FileIf, Suggests, Within
 from ...core.inputs.text_files import name_of
+from ...core.inputs.yaml_files import merged
 from ...mix.mix import FACTORS, completed, flow_amounts, mix_named
 from ...theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete, scaled
 
@@ -196,7 +197,7 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
     name = str(name) if isinstance(name, os.PathLike) else name
     if not isinstance(name, str) or not is_file(name) or _is_complete(name, values):
         return {}
-    return LAW_DEFAULTS | FACTORS | _flow_of(name)
+    return merged(LAW_DEFAULTS, FACTORS, _flow_of(name))
 
 
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:

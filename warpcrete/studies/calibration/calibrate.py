@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...core.device.device import find_device
-from ...core.errors import RunFolderError, WarpcreteError, callback, refuse, whole
+from ...core.errors import RunFolderError, WarpcreteError, callback, refuse, refuse_unknown_settings, whole
 from ...core.extras import needs_extra
 from ...core.inputs.origin import check_files, files_read
 from ...core.run.files import check_new, output_folder, read_record, write_json
@@ -60,6 +60,7 @@ def calibrate(
     asked = Path(targets) if isinstance(targets, str) else targets
     if not isinstance(asked, Path | Mapping):
         refuse("targets", targets, "must be the path of a YAML file, or a mapping", "for example 'targets.yaml'")
+    refuse_unknown_settings(run_calibration, settings)
     return run_calibration(asked, modules(), out=output_folder(out, "calibration"), **settings)
 
 

@@ -20,6 +20,7 @@ from ...core.inputs.parameters import Field, FileIf, declared_fields
 from ...core.inputs.text_files import errors_in_file, errors_located_at, read_mapping
 from ...core.run.method import Quantity
 from ...core.units import number, shown
+from ...core.written_numbers import written_text
 from ...methods import METHODS, method_of
 
 KEYS = ("base", "vary", "targets")
@@ -221,22 +222,23 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
         refuse(called, dict(given), f"has no {', '.join(missing)}", "add the missing entries")
-    if not isinstance(given["scene"], str) or given["scene"] not in modules:
-        problem = f"must be one of {', '.join(modules)}"
-        refuse(f"{called} scene", given["scene"], problem, suggested(given["scene"], modules))
+    with errors_located_at(given, "scene"):
+        if not isinstance(given["scene"], str) or given["scene"] not in modules:
+            problem = f"must be one of {', '.join(modules)}"
+            refuse(f"{called} scene", given["scene"], problem, suggested(given["scene"], modules))
     if isinstance(given["value"], str):
         with errors_located_at(given, "quantity"):
             _unit_of(str(given["quantity"]))
     with errors_located_at(given, "value"):
         value = _in_unit(f"{called} value", given["value"], str(given["quantity"]))
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        problem = "must be a finite number, in SI units or with its unit"
-        refuse(f"{called} value", value, problem, "for example 0.55 or '550 mm'")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            problem = "must be a finite number, in SI units or with its unit"
+            refuse(f"{called} value", value, problem, "for example 0.55 or '550 mm'")
     parameters = given.get("parameters") or {}
-    if not isinstance(parameters, Mapping):
-        refuse(
-            f"{called} parameters", parameters, "must consist of 'name: value' pairs", "for example {yield_stress: 50}"
-        )
+    with errors_located_at(given, "parameters"):
+        if not isinstance(parameters, Mapping):
+            problem = "must consist of 'name: value' pairs"
+            refuse(f"{called} parameters", parameters, problem, "for example {yield_stress: 50}")
     for name, stated in parameters.items():
         with errors_located_at(parameters, name):
             modules[given["scene"]].scene.resolved({name: stated})
@@ -250,11 +252,13 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
             problem = "cannot be both given here and varied"
             refuse(f"{called} parameters", name, problem, f"leave out {name!r} here or under 'vary'")
     held = given.get("held_out", False)
-    if not isinstance(held, bool):
-        refuse(f"{called} held_out", held, "must be true or false")
+    with errors_located_at(given, "held_out"):
+        if not isinstance(held, bool):
+            refuse(f"{called} held_out", held, "must be true or false")
     with errors_located_at(given, "uncertainty"):
         uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value), str(given["quantity"]))
-    return Target(given["scene"], str(given["quantity"]), float(value), uncertainty, parameters, held, "")
+    stated = value if written_text(value) else float(value)  # A text with a unit causes no question about its unit.
+    return Target(given["scene"], str(given["quantity"]), stated, uncertainty, parameters, held, "")
 
 
 def _in_unit(called: str, given: Any, quantity: str) -> Any:
@@ -373,10 +377,10 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
     if unit in ("m", "s") and target.value < 0:
         problem = f"must be at least 0 {unit}"
         refuse(f"{target.quantity} of {target.scene}", target.value, problem, "check the sign of the value")
-    check_limit(f"{target.quantity} of {target.scene}", target.value, unit, target.quantity)
-    return Target(
-        target.scene, target.quantity, target.value, target.uncertainty, target.parameters, target.held_out, unit
-    )
+    name = "pressure" if target.quantity.endswith("pressure") else target.quantity
+    check_limit(f"{target.quantity} of {target.scene}", target.value, unit, name)
+    return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
+                  target.held_out, unit)  # fmt: skip
 
 
 def _refuse_contradictions(targets: Sequence[Target]) -> None:

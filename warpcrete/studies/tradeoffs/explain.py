@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.device.device import checked_threads, find_device
-from ...core.errors import RunFolderError, SceneError, flag, refuse
+from ...core.errors import RunFolderError, SceneError, flag, refuse, with_suggestions
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.fingerprints import fingerprint
 from ...core.inputs.knobs import Knob
@@ -64,6 +64,7 @@ class Explanation:
     __repr__ = __str__
 
 
+@with_suggestions
 def explain(
     scene: Any,
     *,

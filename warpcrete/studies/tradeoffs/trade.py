@@ -57,7 +57,7 @@ def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     """
     name, module = module_of(scene)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
-    check_settings(scene, given, SETTINGS)
+    check_settings(scene, given, (*SETTINGS, "out"))
     return run_trade(name, module, base=given, out=output_folder(out, "trade"), **settings)
 
 
