@@ -3,19 +3,25 @@
 import math
 import re
 from pathlib import Path
-from typing import Any
 
 import click
 
 from ..core.device.device import find_device
 from ..core.errors import RunFolderError
+from ..core.records import SceneArguments
 from ..core.run.folder_kinds import wrong_folder
+from ..core.run.scene_module import SceneModule
 from ..studies.tradeoffs.advice import advise, nearest_shipped
 
 
 def chosen(
-    name: str, module: Any, parameters: dict[str, Any], accuracy: str | None, trade: Path | None, device: str | None
-) -> dict[str, Any]:
+    name: str,
+    module: SceneModule,
+    parameters: SceneArguments,
+    accuracy: str | None,
+    trade: Path | None,
+    device: str | None,
+) -> SceneArguments:
     """Return the parameters to change so that the run reaches the requested accuracy in the shortest time.
 
     The settings were found in an earlier measurement of speed and accuracy. `trade` is the folder of this measurement;

@@ -11,6 +11,7 @@ from ..core.inputs.by_name import trust_option
 from ..core.run.files import next_folder
 from ..core.run.folder_kinds import wrong_folder
 from ..core.run.progress import progress_bar
+from ..core.run.scene_module import SceneModule
 from ..studies.calibration.calibrate import RECORD, resume_calibration, run_calibration
 from ..studies.calibration.calibration import Calibration
 from ..studies.calibration.report import parameter_table, target_table
@@ -25,7 +26,7 @@ CHANGEABLE_SETTINGS = ("trials", "processes", *ON_WORKERS)
 """Names of the command's settings that may be changed when an interrupted calibration continues."""
 
 
-def run(arguments: list[str], modules: dict[str, Any]) -> None:
+def run(arguments: list[str], modules: dict[str, SceneModule]) -> None:
     """Start a new calibration or continue an interrupted one, and print its results."""
     targets, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
@@ -49,7 +50,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     report(found)
 
 
-def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, Any]) -> Calibration:
+def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, SceneModule]) -> Calibration:
     folder = settings.pop("resume")
     strange = [name for name in settings if name not in (*CHANGEABLE_SETTINGS, "progress")]
     if targets is not None or strange:

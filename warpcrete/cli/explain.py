@@ -1,11 +1,11 @@
 """Command `warpcrete explain`: memory, time step and run time of a scene before it runs."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from ..core.errors import refuse
+from ..core.run.scene_module import SceneModule
 from ..studies.tradeoffs.explain import explain
 from .options import check_scene
 from .study import parameter_values, parsed, single
@@ -13,7 +13,7 @@ from .study import parameter_values, parsed, single
 ONE = {"device": str, "threads": int, "trade": Path}
 
 
-def run(arguments: list[str], modules: dict[str, Any]) -> None:
+def run(arguments: list[str], modules: dict[str, SceneModule]) -> None:
     """Print the memory, the time step and the run time that are expected for a scene."""
     scene, options = parsed(arguments)
     settings = single(options, ONE)

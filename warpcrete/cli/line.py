@@ -18,6 +18,7 @@ from ..core.inputs.amounts import amount, bare_number
 from ..core.inputs.customary import beside, both
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_whole
+from ..core.records import Record
 from ..core.run.files import next_folder, write_json
 from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
@@ -138,7 +139,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         click.echo(f"\nfolder: {out}")
 
 
-def _stated(name: str, settings: Mapping[str, Any]) -> str:
+def _stated(name: str, settings: Mapping[str, object]) -> str:
     """Return the name and the value of an option for a message, such as "gauge = '1 bar'", with quotes around texts."""
     value = settings[name]
     return f"{name} = {quoted(str(value) if isinstance(value, Path) else value)}"
@@ -154,7 +155,7 @@ def _check_rest(stated: str | None) -> None:
         )
 
 
-def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, Any]) -> list[str]:
+def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, object]) -> list[str]:
     """Return those options in the user's command that need a flow, such as '--rest'.
 
     `settings` holds the value of each option. `out` is the folder for the result; the option `--out` counts only if
@@ -166,7 +167,7 @@ def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, Any]) -> 
     return [f"--{name.replace('_', '-')}" for name in chosen]
 
 
-def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]) -> list[str]:
+def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, object]) -> list[str]:
     """Return lines of text with the pressure of a pump line, and its uncertainty, at usual flows.
 
     `layer` describes the uncertainty of the concrete; it is passed to :func:`.line_by_theory` as keyword arguments.
@@ -183,7 +184,7 @@ def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]
     return found
 
 
-def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
+def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, object]) -> None:
     """Refuse command-line options that contradict each other, or that have no effect because of another option."""
     if theory and method != "flow":
         raise click.UsageError(
@@ -202,7 +203,7 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
             "--method"
         )
 
-    def changed(options: Mapping[str, Any]) -> list[str]:
+    def changed(options: Mapping[str, object]) -> list[str]:
         return [name for name, usual in options.items() if settings[name] != usual]
 
     only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
@@ -223,7 +224,7 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     check_whole("seeds", settings["seeds"])
 
 
-def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _layer(mix: Mix | None, settings: Mapping[str, object]) -> Record:
     """Return the uncertainty of the concrete, as keyword arguments of the functions that compute a line's pressure.
 
     If the concrete has a mix and the user did not state `--layer-factor`, the result contains `variants`. These are two
@@ -270,7 +271,7 @@ def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete,
 
 
 def _simulated(
-    given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any],
+    given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, object],
     unless_known: bool,
 ) -> bool:  # fmt: skip
     """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed.
@@ -302,7 +303,7 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
 
 
 def _finish(
-    said: Sequence[str], line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]
+    said: Sequence[str], line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, object]
 ) -> None:
     """Print the report on a pump line, and write it to the file line.md in `folder`.
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from ..core.run.progress import progress_bar
 from ..geometry.pipe_line import PipeLine
@@ -10,7 +9,7 @@ from ..studies.lines.blocking import run_blocking
 from ..studies.lines.elements import Elements
 
 
-def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> list[str]:
+def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, object]) -> list[str]:
     """Simulate the line's narrowest part with many random seeds, and return text on the probability of a blockage.
 
     `name` is the name or file of the concrete, and `rate` is the volume flow [m3/s]. The results are written into

@@ -70,7 +70,7 @@ class LineInputs:
         return replace(concrete_of(self.name), name=named(self.name).name)
 
 
-def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
+def line_inputs(line: str | None, settings: Mapping[str, object]) -> LineInputs:
     """Return the line, concrete and flow that the options of the command describe.
 
     Raises :class:`SceneError` for an impossible value, and `click.UsageError` if an option is missing or contradicts
@@ -99,7 +99,7 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
     return LineInputs(given, str(name), mix, _flow(settings, given, guess is not None), guess is not None)
 
 
-def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = "") -> float | None:
+def _amount(name: str, settings: Mapping[str, object], unit: str, limited: str = "") -> float | None:
     """Return the value of the option `name` as a positive number in `unit`, or None if the option is missing.
 
     The number must lie within the limits of the quantity `limited`, or of the quantity `name` if `limited` is empty.
@@ -112,7 +112,7 @@ def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = ""
     return found
 
 
-def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
+def _from_file(line: str, settings: Mapping[str, object]) -> PipeLine:
     """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise` next to a file."""
     for name in SHAPE:
         if settings[name] is not None:
@@ -123,7 +123,7 @@ def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
     return read_line(line)
 
 
-def _straight(settings: Mapping[str, Any]) -> PipeLine:
+def _straight(settings: Mapping[str, object]) -> PipeLine:
     """Return a line that consists of one straight pipe, from the options `diameter`, `length` and `rise`."""
     if all(settings[name] is None for name in SHAPE):
         raise click.UsageError(f"line: is missing; give its file, or a straight line as {EXAMPLE}")
@@ -141,7 +141,7 @@ def _straight(settings: Mapping[str, Any]) -> PipeLine:
     return PipeLine("straight line", (Part(1, "straight", diameter, length, rise, diameter),), axis)
 
 
-def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
+def _guessed(settings: Mapping[str, object], stone: float | None) -> Mix | None:
     """Return a mix that is estimated from the slump or spread in the options; None if the options contain neither.
 
     `stone` is the diameter of the largest stone [m], or None.
@@ -163,7 +163,7 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
     return mix_of(entries, name=", ".join(f"{name} {value}" for name, value in cones.items()))
 
 
-def _flow(settings: Mapping[str, Any], line: PipeLine, guessed: bool) -> float | None:
+def _flow(settings: Mapping[str, object], line: PipeLine, guessed: bool) -> float | None:
     """Return the volume flow [m3/s] that the option `--flow` states or, without this option, the file of the line.
 
     A flow may be missing if the slip layer is fitted to measured pressures, or if the user stated only the slump or

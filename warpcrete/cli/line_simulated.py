@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from ..core.inputs.fingerprints import fingerprint
 from ..core.run.files import atomic_file
@@ -21,8 +20,8 @@ from .line_inputs import LineInputs
 
 
 def run(
-    given: LineInputs, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
-    settings: Mapping[str, Any], finish: Callable[[list[str]], None], unless_known: bool = False,
+    given: LineInputs, method: str, folder: Path, layer: Mapping[str, object], stop: Stop | None,
+    settings: Mapping[str, object], finish: Callable[[list[str]], None], unless_known: bool = False,
 ) -> bool:  # fmt: skip
     """Simulate a line, call `finish` with the report, and return True if a simulated part failed a check.
 

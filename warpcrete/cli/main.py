@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import click
 
@@ -116,7 +116,7 @@ class TheoryCommand(GroupedCommand):
 def theory(
     context: click.Context, flow: tuple[str, ...], pressure: tuple[str, ...], fit: Path | None,
     rest: str | None, thixotropy: str | None, segregation: tuple[str, ...], aggregate: str | None,
-    **values: Any,
+    **values: object,
 ) -> None:  # fmt: skip
     """Compute the flow of a yield stress fluid with a slip layer in a pipe and a channel.
 
@@ -183,7 +183,7 @@ def warm_command(scene: tuple[str, ...], device: str | None) -> None:
 @click.option("--quick", is_flag=True, help="Leave out the cases that take longer than a few seconds")
 @click.option("--extremes", is_flag=True, help="Also run a matrix of scenes with extreme parameters")
 @click.option("--out", type=PATH, help="New folder for verification.md and verification.png")
-def verify(**settings: Any) -> None:
+def verify(**settings: object) -> None:
     """Compare results with published values and closed-form solutions, in one table and one figure.
 
     The exit code is 1 if a result is wrong.
@@ -202,7 +202,7 @@ def verify(**settings: Any) -> None:
 )
 @click.option("--out", type=PATH, help="New folder for the tables and validation.png")
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
-def validate_command(**settings: Any) -> None:
+def validate_command(**settings: object) -> None:
     """Compare blind predictions with measurements of pipes, lines, slip layers and fresh concrete.
 
     Each case is predicted from what was known before the measurement. The table gives, for each kind of measurement,
@@ -233,7 +233,7 @@ def validate_command(**settings: Any) -> None:
     "--processes", type=click.IntRange(1, 1024), help="Number of parallel processes on a CPU  [default: one per core]"
 )
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
-def reproduce_command(**settings: Any) -> None:
+def reproduce_command(**settings: object) -> None:
     """Repeat the runs of PAPER, zhan (discrete elements) or xu (flows), and compare the results with the paper's.
 
     The report shows the paper's values next to the values of the runs, and judges each trend that the paper reports.
@@ -302,7 +302,7 @@ def reproduce_command(**settings: Any) -> None:
               "seeds by discrete elements, stones in their true size, and print the probability that it is blocked; "
               "meant for a GPU")  # fmt: skip
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
-def line_command(line: str | None, **settings: Any) -> None:
+def line_command(line: str | None, **settings: object) -> None:
     load("line").run(line, **settings)
 
 

@@ -1,7 +1,6 @@
 """Types of options whose values a shell completes. The possible values are determined only during a completion."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -35,7 +34,7 @@ class AmountOption(click.ParamType):
     def __init__(self, unit: str) -> None:
         self.unit = unit
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the option's value as a number in its unit; raises :class:`SceneError` for any other text."""
         return amount(str(param.name) if param is not None else "option", value, self.unit)
 

@@ -11,6 +11,7 @@ from click.shell_completion import CompletionItem
 from ..core.errors import suggested
 from ..core.inputs.amounts import amount
 from ..core.inputs.parameters import CompositeRule, Field, FileIf, OneOf, Suggests
+from ..core.run.scene_module import SceneModule
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
 from . import completion
@@ -74,7 +75,7 @@ class Quantity(click.ParamType):
     def __init__(self, field: Field, called: str) -> None:
         self.field, self.called = field, called
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the option's value as a number in the unit of its parameter."""
         return quantity_of(value, self.field, self.called)
 
@@ -86,7 +87,7 @@ class Quantity(click.ParamType):
 NO_NUMBERS = ("nan", "inf", "infinity")
 
 
-def quantity_of(value: Any, field: Field, called: str) -> float:
+def quantity_of(value: object, field: Field, called: str) -> float:
     """Convert the value of an option to a number in the unit of `field`.
 
     The value is a number, or a text such as "125 mm". `called` is the name of the option in error messages.
@@ -129,14 +130,14 @@ def flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def given(values: Mapping[str, Any], context: click.Context | None = None) -> dict[str, Any]:
+def given(values: Mapping[str, object], context: click.Context | None = None) -> dict[str, Any]:
     """Return the values of the options that the user stated on the command line, without defaults."""
     context = context or click.get_current_context()
     default = click.core.ParameterSource.DEFAULT
     return {name: value for name, value in values.items() if context.get_parameter_source(name) != default}
 
 
-def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") -> None:
+def check_scene(name: str | None, modules: Mapping[str, SceneModule], more: str = "") -> None:
     """Raise an error if no scene has this name; the error message lists the scenes, followed by the text `more`."""
     if name not in modules:
         meant = suggested(name, modules)

@@ -14,12 +14,14 @@ from ..core.errors import RunFolderError, WarpcreteError, between, one_line, pos
 from ..core.inputs.by_name import trust_option
 from ..core.inputs.limits import check_limit
 from ..core.inputs.parameters import declared_fields
+from ..core.records import Record, SceneArguments
 from ..core.run.files import next_folder, read_json
 from ..core.run.folder_kinds import wrong_folder
 from ..core.run.method import report_of
 from ..core.run.progress import ProgressBar, no_progress, rate_text
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
+from ..core.run.scene_module import SceneModule
 from ..core.run.simulation_base import SimulationBase
 from ..core.units import number
 from ..methods import method_of
@@ -31,7 +33,7 @@ from ..studies.lines.pipeline import check_pipeline, pipeline_estimate
 from .exits import CHECK_FAILED, INTERRUPTED
 
 
-def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
+def resume(folder: Path, modules: dict[str, SceneModule], *, live: str | None, bind: str, quiet: bool) -> None:
     """Continue an interrupted run in its folder; with `live`, a viewer shows the run from the checkpoint on.
 
     `modules` maps the name of each scene to its Python module. `live`, `bind` and `quiet` are options of the command.
@@ -62,7 +64,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
 
 
 def run(
-    name: str, module: Any, parameters: dict[str, Any], settings: dict[str, Any], *, going_on: bool = False
+    name: str, module: SceneModule, parameters: SceneArguments, settings: dict[str, Any], *, going_on: bool = False
 ) -> None:
     """Run a scene into a new folder, or continue the run in an existing folder.
 
@@ -135,7 +137,7 @@ def run(
         raise SystemExit(CHECK_FAILED)
 
 
-def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
+def _pipeline_checked(scene: Any, settings: Record) -> Record | None:
     """Check the options for the pressure of a whole pipeline, and return the result of the run that they refer to.
 
     The option `pipeline_other` names the folder of an earlier run of a straight pipe: a vertical pipe if this run's
@@ -165,7 +167,7 @@ class PipelineRecorder(Recorder):
     pressure of the pipeline cannot be computed.
     """
 
-    def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
+    def __init__(self, height: float | None, distance: float | None, other: Record | None) -> None:
         self.height, self.distance, self.other = height, distance, other
 
     def finish(self, simulation: SimulationBase, run: Run) -> None:

@@ -130,7 +130,7 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
     fields = importlib.import_module("warpcrete.core.inputs.parameters").declared_fields(module.scene.parameters)
     common = {option.name for option in options.run_options() if option.expose_value}
 
-    def callback(**values: Any) -> None:
+    def callback(**values: object) -> None:
         given = options.given(values)
         settings = {key: values.pop(key) for key in common}
         resume = settings.pop("resume")
@@ -187,7 +187,7 @@ def help_text(docstring: str) -> str:
 def _repeat_command(path: Path) -> click.Command:
     options = load("options")
 
-    def callback(**settings: Any) -> None:
+    def callback(**settings: object) -> None:
         job = load("run")
         if settings.pop("resume") is not None:
             raise click.UsageError(

@@ -15,6 +15,8 @@ from ..core.inputs.by_name import trust_option
 from ..core.inputs.parameters import CompositeRule, Field, OneOf, Suggests
 from ..core.run.files import next_folder, read_record
 from ..core.run.folder_kinds import wrong_folder
+from ..core.run.progress import Progress
+from ..core.run.scene_module import SceneModule
 from ..record.recorders import RECORDERS
 from ..studies.api import study_progress
 from ..studies.study import resume_study, run_study, written_units
@@ -45,7 +47,7 @@ EXECUTION_SETTINGS = ("processes", *ON_WORKERS)
 when a study is continued."""
 
 
-def _execution_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+def _execution_settings(settings: Mapping[str, object]) -> dict[str, Any]:
     return {name: settings.get(name) for name in EXECUTION_SETTINGS}
 
 
@@ -80,7 +82,7 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
     return scene, options
 
 
-def run(arguments: list[str], modules: dict[str, Any]) -> None:
+def run(arguments: list[str], modules: dict[str, SceneModule]) -> None:
     """Start a new parameter study or continue an interrupted one, and print its table."""
     scene, options = parsed(arguments)
     settings = _take_settings(options)
@@ -126,7 +128,7 @@ def report(study: Study) -> None:
     click.echo(f"\n{study.progress}; study folder: {study.folder}")
 
 
-def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
+def single(options: dict[str, list[str]], kinds: Mapping[str, object]) -> dict[str, Any]:
     """Remove the options that are keys of `kinds` from `options`, and return their values by name.
 
     Each of these options must have exactly one value, which is converted to the type that `kinds` states.
@@ -160,7 +162,11 @@ def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
 
 
 def _resumed(
-    scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
+    scene: str | None,
+    options: dict[str, list[str]],
+    settings: dict[str, Any],
+    modules: dict[str, SceneModule],
+    tell: Progress,
 ) -> Study:
     folder = settings["resume"]
     given = [n for n in settings if n not in ("resume", "quiet", *EXECUTION_SETTINGS) and settings[n]] + list(options)
@@ -174,7 +180,7 @@ def _resumed(
     )
 
 
-def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
+def recorded_module(folder: Path, kind: str, modules: Mapping[str, SceneModule]) -> Any:
     """Return the Python module of the scene that an earlier study in `folder` simulated.
 
     `kind` is `study` or `trade`; the file study.json or trade.json in the folder names the scene. `modules` maps the
@@ -194,7 +200,11 @@ def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
 
 
 def _new_study(
-    scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
+    scene: str | None,
+    options: dict[str, list[str]],
+    settings: dict[str, Any],
+    modules: dict[str, SceneModule],
+    tell: Progress,
 ) -> Study:
     check_scene(scene, modules)
     module = modules[scene]
@@ -218,7 +228,7 @@ def _new_study(
     )
 
 
-def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
+def fields_of(module: SceneModule, options: Mapping[str, list[str]]) -> dict[str, Field]:
     """Return a scene's parameters by name, including the parameters of the contact laws that the user chose.
 
     `module` is the scene's Python module. `options` maps the name of each option to the words that follow it; the words
@@ -233,7 +243,7 @@ def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]
 
 
 def parameter_values(
-    module: Any, options: dict[str, list[str]], settings: tuple[str, ...] = ()
+    module: SceneModule, options: dict[str, list[str]], settings: tuple[str, ...] = ()
 ) -> dict[str, list[Any]]:
     """Convert the words in `options` to values of the scene's parameters; return a list of values by parameter name.
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -13,6 +12,7 @@ from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit, check_velocity
 from ..core.inputs.parameters import Field, declared_fields
 from ..core.inputs.scene_functions import resolved
+from ..core.records import SceneArguments
 from ..mix.mix import FACTORS, mix_named
 from ..mix.points import read_points
 from ..mps.column import FLOW, ColumnParameters
@@ -72,7 +72,7 @@ def _rise(stated: str, length: float) -> float:
 
 
 def run(
-    given: dict[str, Any], flows: Sequence[float], pressures: Sequence[float], fit: Path | None = None,
+    given: SceneArguments, flows: Sequence[float], pressures: Sequence[float], fit: Path | None = None,
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
     aggregate: float | None = None,
 ) -> None:  # fmt: skip

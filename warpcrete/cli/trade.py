@@ -7,8 +7,10 @@ from typing import Any
 import click
 
 from ..core.inputs.by_name import trust_option
+from ..core.records import SceneArguments
 from ..core.run.files import next_folder
 from ..core.run.progress import progress_bar
+from ..core.run.scene_module import SceneModule
 from ..studies.tradeoffs.report import table
 from ..studies.tradeoffs.state import Trade
 from ..studies.tradeoffs.trade import resume_trade, run_trade
@@ -30,7 +32,7 @@ def seconds(text: str) -> float:
         raise click.UsageError(f"budget = {text!r}: must be a time such as 90s, 20min or 2h") from None
 
 
-def run(arguments: list[str], modules: dict[str, Any]) -> None:
+def run(arguments: list[str], modules: dict[str, SceneModule]) -> None:
     """Start or continue a trade-off between speed and accuracy, and print its tables."""
     scene, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
@@ -63,7 +65,11 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def _resumed(
-    scene: str | None, settings: dict[str, Any], rest: dict[str, Any], modules: dict[str, Any], anew: dict[str, Any]
+    scene: str | None,
+    settings: dict[str, Any],
+    rest: SceneArguments,
+    modules: dict[str, SceneModule],
+    anew: SceneArguments,
 ) -> Trade:
     folder = settings.pop("resume")
     if scene is not None or settings or rest:

@@ -16,8 +16,10 @@ from .. import scenes as scene_package
 from ..core.device.device import default_threads, find_device
 from ..core.device.kernel_files import kernel_files
 from ..core.errors import RunFolderError
+from ..core.records import SceneArguments
 from ..core.run.files import atomic_file
 from ..core.run.provenance import provenance
+from ..core.run.scene_module import SceneModule
 from ..methods import method_of
 from ..studies.tradeoffs.explain import explain
 from .options import check_scene
@@ -56,7 +58,7 @@ def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
     click.echo(f"kernels for {found} are ready; later runs of these scenes with their features start without compiling")
 
 
-def _scenes_and_parameters(words: list[str], modules: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
+def _scenes_and_parameters(words: list[str], modules: dict[str, SceneModule]) -> tuple[list[str], SceneArguments]:
     """Return the names of scenes at the beginning of `words` (all scenes if there are none), and their parameters."""
     names = list(takewhile(lambda word: not word.startswith("-"), words))
     for name in names:

@@ -12,6 +12,7 @@ from ..core.device.device import PRECISIONS
 from ..core.errors import WarpcreteError
 from ..core.inputs.hyphens import hyphenated
 from ..core.inputs.parameters import Field
+from ..core.run.scene_module import SceneModule
 from ..methods import method_of
 from ..scenes import METHODS, modules
 from . import calibrate, explain, study, trade
@@ -70,7 +71,7 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
     return names(modules(), incomplete) if scene is None else []
 
 
-def _knobs(module: Any, given: Sequence[str]) -> list[str]:
+def _knobs(module: SceneModule, given: Sequence[str]) -> list[str]:
     """Return the names of the accuracy parameters (knobs) that `warpcrete trade` may vary for a scene.
 
     The words `given` hold the values of the scene's parameters, on which the list of knobs depends.
@@ -86,7 +87,7 @@ def _knobs(module: Any, given: Sequence[str]) -> list[str]:
     return [knob.name for knob in trading.knobs(scene) if len(knob.levels) > 1] if trading else []
 
 
-def _fields(module: Any, given: Sequence[str]) -> Mapping[str, Field]:
+def _fields(module: SceneModule, given: Sequence[str]) -> Mapping[str, Field]:
     """Return the parameters of a scene, including parameters of contact laws that the words `given` name.
 
     If these words are not a valid command yet, return only the scene's own parameters.

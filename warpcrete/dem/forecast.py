@@ -10,13 +10,13 @@ import dataclasses
 import math
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ..core.device.device import checked_threads, parallel
 from ..core.device.footprint import footprint
+from ..core.records import SceneArguments
 from ..core.run.coroutines import run_coroutine
 from ..core.run.forecast import Forecast, Probe, median_time
 from ..geometry.axis import Axis
@@ -53,7 +53,7 @@ PASSAGES, SETTLING_OFFSET = 2.4, 0.19
 IDLE_SPHERES = 40_000  # Number of spheres at which a GPU's step takes about twice as long as a step without spheres.
 
 
-def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+def forecast(scene: Scene, device: wp.Device, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Forecast the steps, wall time and memory of a run on a Warp `device`.
 
     `probe` is a function that measures how long one frame of a recording takes to write. Raises the errors that the run
@@ -117,7 +117,7 @@ class _ShortenedCopy:
     shorter pipe.
     """
 
-    def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
+    def __init__(self, scene: Scene, device: wp.Device, precision: str, threads: int | None) -> None:
         self.scene, self.device = scene, device
         self.factor = 1.0
         self.packing = 0.0
@@ -387,7 +387,7 @@ def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTab
 
 def _springs(law: ContactLaw) -> ContactLaw:
     """Return a copy of a contact law without dashpots: all damping ratios are 0."""
-    changes: dict[str, Any] = {}
+    changes: SceneArguments = {}
     for each in dataclasses.fields(law):  # type: ignore[arg-type]
         value = getattr(law, each.name)
         if each.name.endswith("damping_ratio"):

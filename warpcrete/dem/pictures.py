@@ -1,8 +1,10 @@
 """Figures of discrete element runs, drawn with Matplotlib."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,8 +26,12 @@ from ..geometry.rotation import rotate
 from .scene.strokes import strokes_of
 from .simulation import ElementRun, ElementSimulation
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
+
+def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Figure | None:
     """Return a figure of pumping pressure [kPa] against piston travel [m], for one run or several runs by name.
 
     The figure marks the travel at which the piston reaches its final speed, and the published pressures of the scene of
@@ -63,7 +69,7 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
     return figure
 
 
-def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
+def _mark_travel(axes: Axes, run: ElementRun, longest: float) -> None:
     """Draw a vertical line at the travel at which the piston reaches its constant speed.
 
     Nothing is drawn if the piston has no ramp, or if the ramp is not shorter than `longest`, the largest travel [m].
@@ -75,7 +81,7 @@ def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
                       textcoords="offset points", color="0.45")  # fmt: skip
 
 
-def plot_stations(run: ElementRun) -> Any:
+def plot_stations(run: ElementRun) -> Figure | None:
     """Return a figure of the quantities that were measured in slices (stations) along a pipe.
 
     Four panels show stresses [kPa], solid fraction, velocity profiles over the radius [cm/s], and the pressure on the
@@ -117,7 +123,7 @@ def plot_stations(run: ElementRun) -> Any:
     return figure
 
 
-def draw(simulation: ElementSimulation, run: ElementRun, colouring: str | None) -> Any:
+def draw(simulation: ElementSimulation, run: ElementRun, colouring: str | None) -> Figure | None:
     """Return the figure of a run folder: profiles along the pipe if the run measured them, else a plot of the pressure.
 
     The pressure is plotted over time if the piston stops between strokes, and otherwise over the piston's travel. The
@@ -130,7 +136,7 @@ def draw(simulation: ElementSimulation, run: ElementRun, colouring: str | None) 
     return plot_strokes(run) if run.scene.pipe is not None and run.scene.pipe.stops is not None else plot_pressure(run)
 
 
-def plot_strokes(run: ElementRun) -> Any:
+def plot_strokes(run: ElementRun) -> Figure | None:
     """Return a figure of pumping pressure [kPa] over time [s], for a piston that stops and starts again.
 
     The pauses between two strokes of the piston are shaded. A vertical line marks the time of the rest, if the scene
@@ -170,7 +176,7 @@ def plot_strokes(run: ElementRun) -> Any:
     return figure
 
 
-def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int = 2, across: int = 0) -> Any:
+def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int = 2, across: int = 0) -> Figure | None:
     """Return a figure of the aggregates at the end of one or several runs, seen from the side, coloured by speed.
 
     Every sphere of every clump is drawn, the nearest spheres last. `across` and `vertical` are the axes of the figure

@@ -4,8 +4,9 @@ import time as wall_clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ..core.records import Record, SavedState
 from ..core.run.coroutines import Coroutine, Until, run_coroutine
 from ..core.run.method import results_of
 from ..core.run.provenance import provenance
@@ -213,7 +214,7 @@ class ElementSimulation(Simulation):
         self.watch = Watch(self.model, self.state)
         self.blockage = BlockageWatch(self.model, self.state) if self.scene.looks_for_blockage else None
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return the data of a checkpoint: state, stepper and packing report, and a part that depends on the time.
 
         Before t = 0 this part is the progress of the settling, afterwards it contains all measurements.
@@ -233,7 +234,7 @@ class ElementSimulation(Simulation):
             **({"rested": self.rested} if self.scene.rest is not None else {}),
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: SavedState) -> None:
         """Restore the simulation from a checkpoint that :meth:`state_dict` returned, so that the run can continue.
 
         The method creates a batch for this simulation alone. If the checkpoint was saved while the concrete settled,
@@ -244,7 +245,7 @@ class ElementSimulation(Simulation):
         self.join(stepper)
         run_coroutine(self.going_on(state), stepper.advance)
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: SavedState) -> None:
         """Create the state from a `state_dict`; to resume the run, call :meth:`join` and then run :meth:`going_on`."""
         self.state = restore_state(self.model, state["state"])
         self._settled = state.get("settled")
@@ -254,7 +255,7 @@ class ElementSimulation(Simulation):
         batch = self.stepper.batch
         return memory_of_batch(self.stepper) * self.state.sphere_count / max(batch.sphere_count, 1)
 
-    def going_on(self, state: dict[str, Any]) -> Coroutine:
+    def going_on(self, state: SavedState) -> Coroutine:
         """Continue from a `state_dict`: restore packing report and measurements, or resume the settling."""
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
@@ -323,7 +324,7 @@ class ElementSimulation(Simulation):
         steps, state = self.stepper.steps, self.state
         running = self.wall_times.phases.get("running", 0.0)
         tables: dict[str, Table] = {}
-        result: dict[str, Any] = {
+        result: Record = {
             "scene": self.scene.name,
             "method": "dem",
             "finished": finished,

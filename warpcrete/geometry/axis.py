@@ -1,11 +1,11 @@
 """Pipe axes made of straight lines and circular arcs, and triangle meshes of the tubes around them."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from ..core.errors import between, positive, refuse, vector
+from ..core.records import Record
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ class Axis:
             begin += piece.length
         return found
 
-    def parametrised(self) -> list[dict[str, Any]]:
+    def parametrised(self) -> list[Record]:
         """Return the pieces of the axis as dictionaries, each with the range of the coordinate along the piece.
 
         The coordinate is the length [m] along a line or the angle [rad] along an arc. The axis continues straight

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from ..core.errors import between, one_of, refuse
 from ..core.inputs.amounts import amount
@@ -13,7 +12,7 @@ from .pipe_line import Part
 EXAMPLE = "for example 'bend_factor: 1.5', or 'bend_factor: {factor: 1.5, low: 1.2, high: 1.9}'"
 
 
-def with_bend_factor(parts: Sequence[Part], given: Any) -> tuple[Part, ...]:
+def with_bend_factor(parts: Sequence[Part], given: object) -> tuple[Part, ...]:
     """Return the parts of a pipeline with the friction factor of the entry `bend_factor` in all bends.
 
     The entry `given` is a number, or a mapping with the keys :data:`BEND_FACTOR`, which also states the range of the

@@ -5,7 +5,6 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -51,7 +50,7 @@ UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 
 
-def _corrected(entry: Any) -> str:
+def _corrected(entry: object) -> str:
     """Return a hint that says how to write an entry of the list of parts correctly.
 
     A correct entry maps the kind of a part to its properties. Users write '- elbow' or '- straight 10 m', which YAML
@@ -83,7 +82,7 @@ class Course:
         self.parts: list[Part] = []
         self.pieces: list[Line | Arc] = []
 
-    def add(self, number: int, entry: Any) -> None:
+    def add(self, number: int, entry: object) -> None:
         """Append a part to the pipeline.
 
         `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
@@ -106,7 +105,7 @@ class Course:
             with errors_located_at(said, key):
                 _check_key(f"part {number}, {kind}: key", kind, key, said[key])
 
-        def get(key: str, unit: str, default: Any = None) -> float:
+        def get(key: str, unit: str, default: object = None) -> float:
             if key not in said and default is None:
                 refuse(f"part {number}, {kind}", dict(said), f"has no {key!r}", f"add it, for example '{key}: 1 m'")
             field = f"part {number}, {kind}: {key}"
@@ -120,7 +119,7 @@ class Course:
         self.pieces += pieces
         self.diameter = part.outlet
 
-    def _straight(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+    def _straight(self, number: int, said: Mapping[str, object], get: Callable[..., float]) -> tuple[Part, Pieces]:
         length = get("length", "m")
         positive(f"part {number}, straight: length", length, "m")
         rise = length * float(self.tangent[2])
@@ -136,7 +135,7 @@ class Course:
                    f"it, {self.diameter:g} m", "put a reducer between the two parts")  # fmt: skip
         return Part(number, "straight", self.diameter, length, rise, self.diameter), (Line(length),)
 
-    def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+    def _bend(self, number: int, said: Mapping[str, object], get: Callable[..., float]) -> tuple[Part, Pieces]:
         radius = get("radius", "m", max(BEND_RADIUS, BEND_DIAMETERS * self.diameter))
         field = f"part {number}, bend"
         if radius <= self.diameter / 2:
@@ -186,7 +185,7 @@ class Course:
         if np.linalg.norm(level) > 1e-6:
             self.heading = level / np.linalg.norm(level)
 
-    def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+    def _hose(self, number: int, said: Mapping[str, object], get: Callable[..., float]) -> tuple[Part, Pieces]:
         """Return a hose and the pieces of its axis: a straight line of a given length, or a curve through given points.
 
         `said` holds the entries of the hose in the pipeline's file, and `get` returns the number in an entry. A point
@@ -241,7 +240,7 @@ class Course:
             number, "hose", self.diameter, length, rise, self.diameter, relative_loss=1 + more, layer=layer
         ), pieces
 
-    def _reducer(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+    def _reducer(self, number: int, said: Mapping[str, object], get: Callable[..., float]) -> tuple[Part, Pieces]:
         outlet, length = get("to", "m"), get("length", "m", REDUCER_LENGTH)
         for key, value in (("to", outlet), ("length", length)):
             positive(f"part {number}, reducer: {key}", value, "m")
@@ -255,13 +254,13 @@ class Course:
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
 
-    def _valve(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+    def _valve(self, number: int, said: Mapping[str, object], get: Callable[..., float]) -> tuple[Part, Pieces]:
         length = get("length", "m", VALVE_DIAMETERS * self.diameter)
         positive(f"part {number}, valve: length", length, "m")
         rise = length * float(self.tangent[2])
         return Part(number, "valve", self.diameter, length, rise, self.diameter), (Line(length),)
 
-    def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+    def _bore(self, number: int, said: Mapping[str, object], get: Callable[..., float]) -> tuple[Part, Pieces]:
         # The module of meshes needs Warp, which takes seconds to import, so import it only for a line with a mesh.
         from .mesh_parts import bore_of, directions_at, rotated_pieces
 
@@ -284,7 +283,7 @@ class Course:
         return part, rotated_pieces(mesh.axis.pieces, directions)
 
 
-def _check_key(field: str, kind: str, key: Any, value: Any) -> None:
+def _check_key(field: str, kind: str, key: object, value: object) -> None:
     """Refuse the entry `key` of a part if a part of this kind has no such entry; `field` is its name in the message."""
     if str(key)[:1].isdecimal():
         hint = "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'"
@@ -304,7 +303,7 @@ def _check_key(field: str, kind: str, key: Any, value: Any) -> None:
     one_of(field, key, PARTS[kind])
 
 
-def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> None:
+def _refuse_both(field: str, said: Mapping[str, object], one: str, other: str) -> None:
     """Refuse a part whose entries `said` contain both `one` and `other`, which exclude each other.
 
     `field` is the name of the part in the message.
@@ -314,7 +313,7 @@ def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> N
         refuse(f"{field}: {one}", said[one], problem, f"leave out {one!r} or {other!r}")
 
 
-def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
+def _stated(part: Part, said: Mapping[str, object], get: Callable[..., float]) -> float | None:
     """Return the friction that a part's entries state, divided by the friction of straight pipe of the same length.
 
     `said` holds the entries, and `get` returns the number in an entry. The result is None if no entry states friction.
@@ -337,7 +336,7 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
     return None
 
 
-def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
+def _hose_layer(field: str, said: Mapping[str, object]) -> float:
     """Return the resistance of a hose's slip layer, divided by the resistance of the slip layer in a pipe.
 
     The value comes from the entry `layer` of the hose; without this entry it is 1. `field` is the name of the hose in

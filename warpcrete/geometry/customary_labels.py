@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from ..core.inputs.amounts import FOOT, INCH, is_customary
 from .line_entries import PARTS
 from .pipe_line import Part, PipeLine
 
 
-def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diameter: Any) -> tuple[Part, ...]:
+def with_customary_labels(parts: Sequence[Part], entries: Sequence[object], diameter: object) -> tuple[Part, ...]:
     """Return the parts of a pipeline with labels in inches and feet.
 
     `entries` are the entries of the parts in the pipeline's file, and `diameter` is the diameter of the first part as
@@ -45,7 +44,7 @@ def _labelled(part: Part, label: str) -> Part:
     return replace(part, customary_label=label or part.label_with(FOOT, "ft", INCH, "in"))
 
 
-def _written(stated: Any, size: float, unit: float, name: str) -> str:
+def _written(stated: object, size: float, unit: float, name: str) -> str:
     """Return the text `stated` if it has a customary unit; otherwise the `size` [m] in the unit called `name`.
 
     `unit` is the length of this unit [m].

@@ -5,7 +5,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from ..core.inputs.concretes import KEYS as CONCRETE_KEYS
 from ..core.inputs.concretes import OF_MIXES, is_file
 from ..core.inputs.limits import check_limit, check_velocity
 from ..core.inputs.text_files import errors_in_file, errors_located_at, name_of, read_mapping
+from ..core.records import Record
 from .axis import Axis
 from .bend_factors import with_bend_factor
 from .course import Course
@@ -47,7 +47,7 @@ def read_line(name: Path | str) -> PipeLine:
         return line_of(given, name_of(path), path.parent)
 
 
-def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
+def line_file(name: Path | str) -> tuple[Record, Path]:
     """Read the entries of a pipeline file, and return them with the path of the file.
 
     A relative path of a concrete's file is resolved from the folder of the pipeline file. Raises :class:`SceneError` if
@@ -66,7 +66,7 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
     return given, path
 
 
-def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
+def line_of(given: Mapping[str, object], name: str = "line", folder: Path = Path()) -> PipeLine:
     """Build a pipeline from the entries of its file.
 
     Two entries are required: `parts`, a list of mappings from the kind of a part to its entries, and `diameter`, the
@@ -141,7 +141,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         return with_stone(line, stone)
 
 
-def _check_list(entries: Any) -> None:
+def _check_list(entries: object) -> None:
     """Refuse the entry `parts` of a pipeline file if it is not a list of parts, or if the list contains other entries.
 
     A user who indents an entry of the line by mistake, such as `diameter`, makes it an item of this list.
@@ -173,7 +173,7 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     return replace(line, largest_stone=stone)
 
 
-def _text(given: Mapping[str, Any], field: str, default: str) -> str:
+def _text(given: Mapping[str, object], field: str, default: str) -> str:
     """Return the text in the entry `field` without control characters, or `default` if the entry is missing."""
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
@@ -182,7 +182,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
     return one_line(str(found))
 
 
-def _pump(given: Mapping[str, Any]) -> Pump | None:
+def _pump(given: Mapping[str, object]) -> Pump | None:
     """Return the data sheet of the pump in the entry `pump`, or None if there is no such entry."""
     if "pump" not in given:
         return None
@@ -190,7 +190,7 @@ def _pump(given: Mapping[str, Any]) -> Pump | None:
         return pump_of(given["pump"])
 
 
-def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
+def _above(given: Mapping[str, object], field: str, unit: str) -> float | None:
     """Return the value of the entry `field` in `unit` after checking it, or None if there is no such entry."""
     if field not in given:
         return None

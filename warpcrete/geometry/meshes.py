@@ -36,7 +36,7 @@ MAX_EXTENT = 1e4
 """Largest accepted distance of a mesh's corner from the origin [m]."""
 
 
-def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
+def load(source: object, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     """Read a mesh from `source`, a ``trimesh.Trimesh`` or any file that trimesh reads, and clean it with :func:`clean`.
 
     `scale` is the factor from the mesh's length unit to metres. Raises :class:`SceneError` about the parameter `field`
@@ -280,7 +280,7 @@ class SurfaceQueries:
         reach = 4 * (self._extent + float(np.abs(points).max(initial=0.0)))
         return self._query(distances, points=_points(points), reach=reach)
 
-    def _query(self, kernel: wp.Kernel, **arguments: Any) -> np.ndarray:
+    def _query(self, kernel: wp.Kernel, **arguments: object) -> np.ndarray:
         count = len(next(iter(arguments.values())))
         distance = wp.zeros(count, dtype=wp.float32, device="cpu")
         launch(kernel, count, wp.get_device("cpu"), mesh=self._mesh.id, distance=distance, **arguments)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from ..core.errors import refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.parameters import Needs
 from ..core.inputs.text_files import errors_located_at
+from ..core.records import SceneArguments
 from .axis import Axis, Line
 from .bores import Bores
 from .lines import line_file
@@ -25,7 +25,7 @@ MAX_LENGTH_RATIO = 10_000
 """Largest length of a simulated pipe divided by the pipe's diameter."""
 
 
-def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
+def parameters_from_line(values: Mapping[str, object]) -> SceneArguments:
     """Return the flow [m3/s] and the concrete stated in the file of the pipeline `line`, which is a scene parameter.
 
     `values` are the parameters of the scene. The result is empty if `values` contains no line, or contains both the
@@ -39,7 +39,7 @@ def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
     return found | ({"concrete": str(given["concrete"])} if "concrete" in given else {})
 
 
-def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
+def parameters_from_mesh(values: Mapping[str, object], ways: Sequence[Way] = WAYS) -> SceneArguments:
     """Return the parameters that follow from the mesh `wall` of a scene: `unit` and the inlet's `diameter` [m].
 
     `values` holds the parameters that the user set. The parameter `unit` is the kind of pipe, here "mesh". The result
@@ -65,7 +65,7 @@ def ends(line: PipeLine) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 
-def check_straight_ends(line: PipeLine, name: Any) -> None:
+def check_straight_ends(line: PipeLine, name: object) -> None:
     """Refuse a pipeline that a scene cannot simulate as a whole: it must begin and end straight and have no valve.
 
     `name` is the name of the pipeline in the message.

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from ..core.errors import one_of, positive, refuse
 from ..core.inputs.amounts import amount
@@ -33,7 +32,7 @@ class Pump:
     """Power of the pump's motor [W]."""
 
 
-def pump_of(given: Any) -> Pump:
+def pump_of(given: object) -> Pump:
     """Return the pump that the entry `given` describes: its pressure, or a mapping with the keys :data:`PUMP`.
 
     Raises :class:`SceneError` for a wrong key or value, or if there is no pressure.

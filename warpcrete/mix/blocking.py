@@ -9,9 +9,9 @@ predicts blocking best, but is conservative.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from ..core.inputs.customary import both
+from ..core.records import Record
 from ..geometry.pipe_line import Part, PipeLine
 from .entries import MixEntries
 from .ingredients import cement_mass, powder_mass, water_mass
@@ -390,7 +390,7 @@ def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
     ]
 
 
-def rule_records(verdicts: Sequence[RuleVerdict]) -> dict[str, Any]:
+def rule_records(verdicts: Sequence[RuleVerdict]) -> Record:
     """Return the verdicts of rules of practice on whether a line will block, as a mapping for a JSON file.
 
     The entry "rules" contains the verdict of each rule, and "worst" the worst of these verdicts, such as "risky".

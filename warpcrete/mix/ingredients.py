@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
 from ..core.errors import quoted, refuse, suggested
 from ..core.inputs.amounts import POUND, YARD, amount, is_amount, unit_names
@@ -255,7 +254,7 @@ def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
     return (powder, liquid) if water else (0.0, 0.0)
 
 
-def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
+def mass_per_volume(name: str, value: object, load: float | None = None) -> float:
     """Return the mass of an ingredient in a cubic metre of concrete [kg/m3].
 
     `value` is a number [kg/m3], or a text with a unit of mass per volume. For liquids it may also be a volume per
@@ -286,7 +285,7 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
 
-def _check_stated(name: str, value: Any) -> None:
+def _check_stated(name: str, value: object) -> None:
     """Refuse an ingredient without an amount, or with an amount in sacks, in per cent or per 100 lb of cement."""
     field, text = f"mix parts: {name}", value if isinstance(value, str) else ""
     admixture = _noun(name) in LIQUIDS and _noun(name) not in WATERS

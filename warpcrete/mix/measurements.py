@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from ..core.errors import SceneError, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount
@@ -74,7 +73,7 @@ class Layer:
         return self.pipe and self.constants is not None and self.constants.uncertainty is not None
 
 
-def read_constants(name: str, given: Any, units: Mapping[str, str], widest: float = LARGEST_UNCERTAINTY) -> Measured:
+def read_constants(name: str, given: object, units: Mapping[str, str], widest: float = LARGEST_UNCERTAINTY) -> Measured:
     """Return the measured constants in the entry `name` of a mix, checked and converted to `units`.
 
     `widest` is the largest relative uncertainty that is allowed.
@@ -99,7 +98,7 @@ def read_constants(name: str, given: Any, units: Mapping[str, str], widest: floa
     return Measured(values, off)
 
 
-def _constant(name: str, key: str, given: Any, unit: str) -> float:
+def _constant(name: str, key: str, given: object, unit: str) -> float:
     """Return the constant `key` in the entry `name` of a mix, checked and converted to `unit`."""
     field = f"mix {name}: {key}"
     value = amount(field, given, unit)
@@ -111,7 +110,7 @@ def _constant(name: str, key: str, given: Any, unit: str) -> float:
     return value
 
 
-def read_layer(given: Any, folder: Path) -> Layer:
+def read_layer(given: object, folder: Path) -> Layer:
     """Return the measurements of the slip layer that the entry `layer` of a mix contains.
 
     The entry contains constants of the layer, flows and pressures measured in a pipe, or speeds and stresses measured
@@ -164,7 +163,7 @@ def read_layer(given: Any, folder: Path) -> Layer:
     return Layer(constants, pipe=source == "pipe", contradicted="gauges" in given)
 
 
-def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
+def read_pairs(name: str, given: object, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
     """Return the two columns of measured points, each as a list of numbers in SI units.
 
     `given` is the path of a CSV file relative to `folder`, or a list of pairs of numbers, which may have units. Raises

@@ -13,6 +13,7 @@ from ..core.inputs.concretes import FACTOR_KEYS, NamedConcrete, concrete, known_
 from ..core.inputs.customary import both
 from ..core.inputs.text_files import errors_in_file, errors_located_at
 from ..core.inputs.yaml_files import merged
+from ..core.records import SceneArguments
 from ..core.run.tables import dataframe
 from ..theory.pipe import Concrete, scaled
 from .entries import MixEntries
@@ -170,7 +171,7 @@ class Mix:
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property
-    def elements(self) -> dict[str, Any]:
+    def elements(self) -> SceneArguments:
         """Sizes and shapes of aggregates for the section `elements` of a concrete's file.
 
         This section needs neither density nor slip layer, because they follow from the section `flow`.
@@ -287,7 +288,7 @@ def factors_text(factors: tuple[float, float], source: str) -> str:
 
 
 def mix_of(
-    given: Mapping[str, Any], folder: Path = Path(), name: str = "mix", source: str = "",
+    given: Mapping[str, object], folder: Path = Path(), name: str = "mix", source: str = "",
     stated: Mapping[str, float] | None = None,
 ) -> Mix:  # fmt: skip
     """Build a mix from the entries of a section `mix`.
@@ -362,13 +363,13 @@ def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
     return found
 
 
-def _named(key: str, value: Any) -> Figure:
+def _named(key: str, value: object) -> Figure:
     """Return a constant that the section `flow` of a concrete's file states, as a property without uncertainty."""
     value = _flow_amount(key, value)
     return Figure({**FLOW, **LAWS}[key], value, value, value, UNITS[key], "flow", "as given")
 
 
-def _flow_amount(key: str, value: Any) -> float:
+def _flow_amount(key: str, value: object) -> float:
     """Return the entry `key` of the section `flow` of a concrete's file as a number in its SI unit, after checks."""
     found = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):

@@ -73,7 +73,7 @@ MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
 
 
-def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
+def read(given: Mapping[str, object], folder: Path) -> MixEntries:
     """Read the section `mix` of a concrete's file, and return its entries in SI units.
 
     Paths in the section are relative to `folder`. Raises :class:`SceneError` if an entry is invalid, or if entries
@@ -151,7 +151,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     )
 
 
-def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple[float, float] | None:
+def _named_sizes(given: Mapping[str, object], masses: Mapping[str, float]) -> tuple[float, float] | None:
     """Return the smallest and the largest size of the stones [m] that the names of the ingredients state.
 
     Such names are '#67 stone' and 'gravel 4/16'. If the names state several ranges of sizes, the result covers all of
@@ -170,7 +170,7 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
     return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 
 
-def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:
+def _entry(given: Mapping[str, object], name: str, read: Callable[[Any], T]) -> T | None:
     """Return the entry `name`, converted by the function `read`; None if the mix has no such entry.
 
     If `read` raises an error, the error message states the line of the entry in the file.
@@ -181,7 +181,7 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
         return read(given[name])
 
 
-def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
+def _paste_solids(given: Mapping[str, object], masses: Mapping[str, float]) -> float | None:
     """Return the volume fraction of powder in the paste, from the ingredients or from the ratio of water to binder."""
     ratio = _number(given, "water_binder")
     powder, liquid = paste_volumes(masses)
@@ -200,7 +200,7 @@ def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
     return found or stated
 
 
-def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
+def _sand_and_stone(given: Mapping[str, object], masses: Mapping[str, float]) -> float | None:
     """Return the volume fraction of sand and stones in the concrete; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     air = _number(given, "air")
@@ -208,13 +208,13 @@ def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> fl
     return max(rest, 0.0) if powder > 0 and liquid > 0 else None
 
 
-def _paste_share(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
+def _paste_share(given: Mapping[str, object], masses: Mapping[str, float]) -> float | None:
     """Return the volume fraction of powder and liquid in the concrete; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     return powder + liquid if powder > 0 and liquid > 0 else None
 
 
-def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
+def _water_binder(given: Mapping[str, object], masses: Mapping[str, float]) -> float | None:
     """Return the mass ratio of water to powder, stated or calculated from the ingredients; None if unknown."""
     powder, water = powder_mass(masses), water_mass(masses)
     return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
@@ -240,7 +240,7 @@ def _thickener(given: Mapping[str, Any]) -> bool:
     return said
 
 
-def _number(given: Mapping[str, Any], name: str) -> float | None:
+def _number(given: Mapping[str, object], name: str) -> float | None:
     """Return the numeric entry `name` of a mix in its SI unit, or None if the mix does not state it."""
     if given.get(name) is None:
         return None
@@ -252,7 +252,7 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
     return found
 
 
-def _check_ingredient(name: str, value: Any) -> None:
+def _check_ingredient(name: str, value: object) -> None:
     """Raise :class:`SceneError` if an item of `parts` is another entry of the mix or the sum of all ingredients."""
     plain = re.sub(r"[\W_]+", " ", name.casefold()).strip()
     if plain in TOTALS:
@@ -264,7 +264,7 @@ def _check_ingredient(name: str, value: Any) -> None:
                f"move it out of 'parts', as '{own}: ...'")  # fmt: skip
 
 
-def _check_single(name: str, value: Any) -> None:
+def _check_single(name: str, value: object) -> None:
     """Raise :class:`SceneError` if the entry is a consistency class, such as 'S3', or a range instead of one value.
 
     The message suggests the measured value, or the middle of the class or range.
@@ -284,7 +284,7 @@ def _check_single(name: str, value: Any) -> None:
         refuse(f"mix {name}", value, "is a range, but must be one value", hint)
 
 
-def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
+def _density(given: Mapping[str, object], heavy: float) -> tuple[float, bool, dict[str, float]]:
     """Return the concrete's density [kg/m3], whether it is the sum of the ingredients, and the ingredients.
 
     The ingredients map names to masses in a cubic metre of concrete [kg/m3]; the mapping is empty if the mix lists no
@@ -334,7 +334,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
     return (total, True, masses) if own is None else (own, False, masses)
 
 
-def _by_volume(parts: Mapping[str, Any], load: float | None) -> dict[str, Any]:
+def _by_volume(parts: Mapping[str, object], load: float | None) -> dict[str, Any]:
     """Return the ingredients, with amounts of admixtures per 100 lb or 100 kg converted to amounts per volume.
 
     An amount such as "4 oz/cwt" refers to the cementitious material, which is cement with slag, ash and the like. The
@@ -355,7 +355,7 @@ def _by_volume(parts: Mapping[str, Any], load: float | None) -> dict[str, Any]:
     return found
 
 
-def _share(given: Any, heavy: float, unusual: str | None) -> float:
+def _share(given: object, heavy: float, unusual: str | None) -> float:
     """Return the volume fraction of coarse aggregate in the concrete, from the entry `aggregate` of a mix.
 
     An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. `unusual` is the name of stones whose
@@ -383,7 +383,7 @@ def _share(given: Any, heavy: float, unusual: str | None) -> float:
     return found
 
 
-def _check_share(stated: Any, share: float, masses: Mapping[str, float], heavy: float) -> None:
+def _check_share(stated: object, share: float, masses: Mapping[str, float], heavy: float) -> None:
     """Warn if the stated volume fraction of coarse aggregate, `share`, contradicts the ingredients.
 
     `stated` is the entry `aggregate` of the mix, and `heavy` the density of the stones [kg/m3].

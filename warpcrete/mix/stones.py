@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from ..core.errors import between, one_of, refuse, suggested
 from ..core.inputs.amounts import amount, bare_number, is_amount
@@ -151,7 +150,7 @@ def sizes_by_number(field: str, text: str) -> tuple[float, float] | None:
     return SIZE_NUMBERS[f"#{number[1]}"]
 
 
-def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
+def read_sieve(given: object) -> tuple[tuple[float, float], ...]:
     """Return a sieve curve as pairs of opening [m] and mass fraction that passes.
 
     `given` maps the openings of the sieves [mm] to the mass fractions that pass them, which may also be percentages.
@@ -189,7 +188,7 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
     return tuple(zip(openings, passing, strict=True))
 
 
-def read_sizes(given: Any) -> tuple[float, float]:
+def read_sizes(given: object) -> tuple[float, float]:
     """Return the smallest and the largest size of a mix's stones [m].
 
     If the entry is a single amount, it is the largest size, and the smallest is :data:`SMALLEST`. A text such as '#57'
@@ -226,7 +225,7 @@ def read_sizes(given: Any) -> tuple[float, float]:
     return low, high
 
 
-def example_size(given: Any) -> str:
+def example_size(given: object) -> str:
     """Return a text such as '20 mm' that an error message suggests for the entry `sizes`.
 
     `given` is the size of the largest stone, which the user has stated under another name. A number without a unit
@@ -242,7 +241,7 @@ def example_size(given: Any) -> str:
     return f"{size:g} mm" if is_millimetres else "20 mm"
 
 
-def read_shape(given: Any) -> str:
+def read_shape(given: object) -> str:
     """Return the name of the stones' shape in scenes of discrete elements, such as 'spheres'.
 
     Raises :class:`warpcrete.SceneError` if the entry is neither a known word nor a possible ratio of widths.

@@ -12,6 +12,7 @@ from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.inputs.limits import check_velocity, warn
 from ..core.inputs.parameters import Above, Needs, OneOf
 from ..core.inputs.yaml_files import merged
+from ..core.records import Record, SceneArguments
 from ..core.run.checks import with_cures
 from ..core.run.run import Run
 from ..core.units import number
@@ -117,7 +118,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
     ] = "auto"
 
     @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    def implied(cls, values: Mapping[str, object]) -> Mapping[str, Any]:
         """Return the values that these parameters take from the file of the concrete, by name.
 
         They are the flow constants and, for a flow with two phases, the parameters of the aggregate. A run's record
@@ -367,7 +368,7 @@ def flow_trading(dimensions: int) -> Trading:
     )
 
 
-def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
+def _variants(given: FlowParameters, dimensions: int) -> dict[str, SceneArguments]:
     """Return the changed parameters of each variant of a flow, by a description of the variant.
 
     A trade-off study compares its settings with theory for the flow itself and for these variants, which have other
@@ -381,7 +382,7 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any
     same = {"ends": column_scene("variants", dimensions, given).ends} if given.ends == "auto" else {}
     flow = FLOW if given.flow is None else given.flow
     wider = {"diameter": 1.5 * given.diameter, "length": 1.5 * given.length, "flow": 2.25 * flow}
-    found: dict[str, dict[str, Any]] = {
+    found: dict[str, Record] = {
         "a fifth of the flow": {"flow": flow / 5},
         "twice the flow": {"flow": 2 * flow},
         "a pipe 1.5 times as wide": wider,

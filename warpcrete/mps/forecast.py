@@ -5,6 +5,8 @@ A coarser copy of the flow is run to predict the simulated time until the flow i
 
 from typing import Any
 
+import warp as wp
+
 from ..core.run.forecast import Forecast, Probe
 from .common.forecast import Course, coarser_run, flow_forecast, law_features
 from .scene import FluidScene
@@ -14,7 +16,7 @@ COARSE_PARTICLES = 2500
 """Number of particles of the coarser copy that predicts the simulated time of a run."""
 
 
-def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+def forecast(scene: FluidScene, device: wp.Device, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Return the forecast of the run time and memory of a run on a Warp `device`.
 
     The function `probe` measures the wall time of recording one frame. Raises the same errors as a run that fails

@@ -11,8 +11,9 @@ import warp as wp
 
 from ..core.device.arrays import host_copy
 from ..core.device.device import MEMORY_FRACTION, default_threads, memory_free, parallel
-from ..core.device.launching import Launcher, Step, launch
+from ..core.device.launching import Arguments, Launcher, Step, launch
 from ..core.errors import CapacityError
+from ..core.records import SavedState
 from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.conjugate_gradient import OUTCOME
@@ -227,7 +228,7 @@ class MovingParticles(Stepping):
     # The following methods provide the stages of a step and the state for checkpoints.
 
     @property
-    def _kernel_arrays(self) -> dict[str, Any]:
+    def _kernel_arrays(self) -> Arguments:
         return {
             "flags": self.flags,
             "flow": self.flow,
@@ -267,11 +268,11 @@ class MovingParticles(Stepping):
         lists = {"built": host_copy(self.fields.position_at_build), "late": host_copy(self.fields.event_flags)}
         return self.state.state_dict() | lists
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return the arrays and numbers that a checkpoint needs to continue the flow at the next step."""
         return {"arrays": self.state_arrays(), "numbers": {"steps": self.steps, "rebuilds": self.rebuilds}}
 
-    def load_state_dict(self, found: dict[str, Any]) -> None:
+    def load_state_dict(self, found: SavedState) -> None:
         """Restore the flow from a `state_dict`, with the same neighbour lists."""
         arrays, numbers = found["arrays"], found["numbers"]
         self.particles.position.assign(arrays["built"])

@@ -1,7 +1,9 @@
 """Matplotlib figures of pipe flows."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +12,10 @@ from ..core.run.run import Run
 from ..core.units import number
 from ..theory.pipe import velocity
 from .common.run import FlowRun
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 LEFT = 0.65
 """Fraction of a figure's width that the panels with curves take up, if the figure shows particles on its right side."""
@@ -20,7 +26,7 @@ def plot_flow(
     particles: tuple[np.ndarray, np.ndarray, float] | None = None,
     scale: tuple[str, float, float] | None = None,
     materials: Mapping[str, np.ndarray] | None = None,
-) -> Any:
+) -> Figure:
     """Return a figure of the pressure over time and of velocity profiles, each compared with theory.
 
     `particles` are drawn next to the curves: their positions [m], their colours as RGB bytes, and their spacing [m].
@@ -39,7 +45,7 @@ def plot_flow(
     return figure
 
 
-def _pressure(axes: Any, run: Run) -> None:
+def _pressure(axes: Axes, run: Run) -> None:
     theory = number(run.result["pressure_theory"]) / 1e3
     axes.plot(run.series["time"], run.series["pressure"] / 1e3, color=rgb(RUN), label="this run")
     axes.axhline(theory, color=rgb(THEORY), linestyle="--", label="theory")
@@ -65,7 +71,7 @@ def _pressure_label(scene: Any) -> str:
     return f"pressure {place}\n{'with weight ' if scene.weight else ''}[kPa]"
 
 
-def _profiles(axes: Any, run: Run) -> None:
+def _profiles(axes: Axes, run: Run) -> None:
     scene = run.scene
     piston = scene.ends == "piston"
     # In a periodic pipe the profiles at all heights are equal, so only the first one is drawn.
@@ -82,7 +88,7 @@ def _profiles(axes: Any, run: Run) -> None:
 
 
 def _particles(
-    axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None,
+    axes: Axes, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None,
     materials: Mapping[str, np.ndarray],
 ) -> None:  # fmt: skip
     """Draw the particles behind a vertical plane through the axis, so that the inside of the flow is visible.
@@ -124,7 +130,7 @@ def _particles(
         legend_above(axes, curves=marks, width=1 - LEFT)
 
 
-def draw(simulation: FlowRun, run: Run, colouring: str | None) -> Any:
+def draw(simulation: FlowRun, run: Run, colouring: str | None) -> Figure | None:
     """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
     if "profiles" not in run.result:
         return None

@@ -3,10 +3,9 @@
 The module `core/run/run_loop.py` contains the loop common to all runs.
 """
 
-from typing import Any
-
 import numpy as np
 
+from ..core.records import Record
 from ..core.run.method import results_of
 from ..core.run.tables import Table
 from ..core.units import quantity
@@ -146,9 +145,9 @@ class FluidSimulation(FlowRun):
         self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
         return self.steady and self.scene.duration is None
 
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Record:
         layout, grains = self.flow.state.layout, self.flow.state.grains
-        found: dict[str, Any] = {
+        found: Record = {
             "spacing": quantity(layout.spacing, "m"),
             "column_height": quantity(layout.height, "m"),
         }
@@ -161,7 +160,7 @@ class FluidSimulation(FlowRun):
             }
         return found
 
-    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return entries for the run's result, computed from the time series. A pipe flow has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.scene.theory()))
         result["theory"] = self.scene.form
@@ -170,7 +169,7 @@ class FluidSimulation(FlowRun):
         result["iterations"] = outcomes
         return result, {}
 
-    def _profile(self, part: float) -> dict[str, Any]:
+    def _profile(self, part: float) -> Record:
         height = part * self.flow.state.layout.height
         radius, mean = self._probes.profile(self.flow, height)
         if isinstance(self.flow, GridFlow):

@@ -19,6 +19,7 @@ import functools
 import math
 from typing import Any
 
+from ..core.device.arrays import Kernel
 from ..core.device.launching import Stage, Step, struct_arguments
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps.coarse import coarse_kernels, serial_coarse_kernel
@@ -69,7 +70,7 @@ class StepPart:
         self.two_phase = particles.grains is not None
         self.kind = particles.scalar, self.dimensions, self.serial
 
-    def step(self) -> list[Any]:
+    def step(self) -> list[Stage]:
         """Return all stages of a time step in their order."""
         return [
             *self.geometry(),
@@ -87,7 +88,7 @@ class StepPart:
 
     # The following methods make stages from a kernel.
 
-    def over_rows(self, kernel: Any, **named: Any) -> list[Stage]:
+    def over_rows(self, kernel: Kernel, **named: object) -> list[Stage]:
         """Return stages that run a kernel over this thread's ranges of particles, followed by a barrier."""
         p, found = self.p, []
         for part in self.parts:
@@ -96,11 +97,11 @@ class StepPart:
             found.append(p.stage(kernel, tasks, first=first, end=end, **named))
         return [*found, *self.barrier_stages]
 
-    def by_first_thread(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
+    def by_first_thread(self, kernel: Kernel, tasks: int = 1, **named: object) -> list[Stage]:
         """Return stages in which only the first thread runs a kernel, followed by a barrier of all threads."""
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier_stages]
 
-    def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
+    def in_blocks(self, kernel: Kernel, number: int | None = None, **named: object) -> Stage:
         """Return a stage that launches a kernel on a GPU as `number` full thread blocks.
 
         By default there are enough blocks for one thread per particle.
@@ -109,12 +110,12 @@ class StepPart:
 
     # The following methods return the stages of a step, in the order of the step.
 
-    def geometry(self) -> list[Any]:
+    def geometry(self) -> list[Stage]:
         """Return the stages that compute the particles' apparent viscosities and the moments of neighbour positions."""
         kernel = geometry_kernel(*self.kind, self.two_phase, self.scene.concrete.bulk_law.name)
         return self.over_rows(kernel, **struct_arguments(kernel, particle=self.p.particles))
 
-    def wall_scale(self) -> list[Any]:
+    def wall_scale(self) -> list[Stage]:
         """Return the stages that scale the wall area which each particle represents.
 
         After scaling, these areas add up to the area of the pipe's wall that the concrete covers.
@@ -131,17 +132,17 @@ class StepPart:
             self.in_blocks(divide, 1, partial=partial, **result),
         ]
 
-    def momentum(self) -> list[Any]:
+    def momentum(self) -> list[Stage]:
         """Return the stages that assemble the equations for the velocities."""
         return self.over_rows(momentum_kernel(*self.kind, self.two_phase, self.scene.concrete.layer_law.name))
 
-    def bodies(self) -> list[Any]:
+    def bodies(self) -> list[Stage]:
         """Return the stage that prepares the rigid grains for the velocity solve."""
         if not self.two_phase:
             return []
         return self.by_first_thread(bodies_kernel(self.p.scalar, self.dimensions), self.p.state.grains.count)
 
-    def viscosity(self) -> list[Any]:
+    def viscosity(self) -> list[Stage]:
         """Return the stages that solve for the velocities."""
         absolute = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
         return [
@@ -149,14 +150,14 @@ class StepPart:
             *self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, absolute),
         ]
 
-    def pressure(self) -> list[Any]:
+    def pressure(self) -> list[Stage]:
         """Return the stages that solve for the increment of the pressure."""
         scene, tolerance = self.scene, self.scene.tolerance
         absolute = ABSOLUTE_PRESSURE_FACTOR * tolerance * self.rate * scene.velocity / scene.radius * self.size
         solve = self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, absolute)
         return [*self.coarse_matrix(False), *solve]
 
-    def shifting(self) -> list[Any]:
+    def shifting(self) -> list[Stage]:
         """Return the stages that solve for the density correction and move particles out of crowded regions."""
         tolerance, error = DENSITY_TOLERANCES
         return [
@@ -164,7 +165,7 @@ class StepPart:
             *self.over_rows(shift_kernel(*self.kind)),
         ]
 
-    def motion(self) -> list[Any]:
+    def motion(self) -> list[Stage]:
         """Return the stages that update grain velocities, then particle positions, then grain positions."""
         advance = self.over_rows(advance_kernel(*self.kind))
         if not self.two_phase:
@@ -174,13 +175,13 @@ class StepPart:
         after = self.by_first_thread(places_kernel(p.scalar, self.dimensions), grains)
         return [*before, *advance, *after]
 
-    def finish(self) -> list[Any]:
+    def finish(self) -> list[Stage]:
         """Return the stage that counts the step and marks neighbour lists that are out of date."""
         return self.by_first_thread(finish, event_flags=self.p.fields.event_flags)
 
     # The following methods return the linear solves.
 
-    def coarse_matrix(self, vector: bool) -> list[Any]:
+    def coarse_matrix(self, vector: bool) -> list[Stage]:
         """Return the launches that compute the coarse matrix of the preconditioner.
 
         `vector` is True for the solve for velocities, and False for the solve for the pressure. The density solve also
@@ -206,7 +207,7 @@ class StepPart:
         """Density divided by the time step [kg/m3/s]: force per volume that changes a velocity by 1 m/s in one step."""
         return self.scene.concrete.density / self.scene.time_step
 
-    def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
+    def solve(self, system: Any, what: int, x: object, tolerance: float, absolute: float) -> list[Stage]:
         """Return the stage of a conjugate-gradient solve that adds its solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below `absolute`.

@@ -38,7 +38,7 @@ class FluidState:
     """Position, spin and rotation of each rigid grain of aggregate: arrays in a struct `Grains`; None for a flow with
     one phase."""
 
-    def __init__(self, scene: FluidScene, device: Any, precision: str) -> None:
+    def __init__(self, scene: FluidScene, device: wp.Device, precision: str) -> None:
         self.scene, self.device, self.scalar = scene, device, scalar_of(precision)
         self.structs = array_structs(self.scalar, scene.dimensions)
         self.layout: Layout = layout(scene)

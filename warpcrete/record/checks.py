@@ -1,7 +1,6 @@
 """Recorder that stores the scene's own acceptance checks with the results of a run."""
 
-from typing import Any
-
+from ..core.records import Record
 from ..core.run.checks import Check
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
@@ -26,6 +25,6 @@ class CheckRecorder(Recorder):
             }
 
 
-def failed_checks(result: dict[str, Any]) -> list[str]:
+def failed_checks(result: Record) -> list[str]:
     """Return the names of the failed checks in the contents of a result.json."""
     return [name for name, check in result.get("checks", {}).items() if not check["passed"]]

@@ -14,6 +14,7 @@ from ..core.errors import RunFolderError, SceneError
 from ..core.inputs.by_name import names_from_file
 from ..core.inputs.origin import changed_files, check_files
 from ..core.inputs.text_files import saved_text
+from ..core.records import Record
 from ..core.run.files import read_json, read_record
 from ..core.run.output import RunOutput
 from ..core.run.run import Run
@@ -99,7 +100,7 @@ def is_finished(folder: Path) -> bool:
 
 
 @names_from_file()
-def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+def saved_scene(path: Path, known: Record) -> tuple[Record, Any]:
     """Return the contents of a run folder's scene.json, and the Python module of the scene that the file names.
 
     `known` maps the names of all scenes to their modules. Raises :class:`RunFolderError` if it lacks the scene, or if
@@ -122,7 +123,7 @@ def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]
     return record, module
 
 
-def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+def repeatable_scene(path: Path, known: Record) -> tuple[Record, Any]:
     """Return the contents of scene.json and the Python module of the scene, for a run that is repeated or continued.
 
     Raises :class:`RunFolderError` if the scene was modified after its function had built it, if it was built by hand,
@@ -135,7 +136,7 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     return saved_scene(path, known)
 
 
-def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:
+def _check_unchanged(path: Path, record: Mapping[str, object]) -> None:
     changed = record.get("modified")
     if not changed:
         return

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.device.recorder_thread import RecorderThread
 from ..core.extras import needs_extra
+from ..core.records import SavedState
 from ..core.run.files import atomic_file, cannot_write
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
@@ -61,7 +62,7 @@ class ParaViewRecorder(Recorder):
         if self._display.has_network:
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
-    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: SavedState) -> None:
         """Shorten all files to the number of frames that were written before the checkpoint.
 
         If a file has fewer frames, because it is damaged or missing, shorten the other files to that number and warn.
@@ -124,7 +125,7 @@ class ParaViewRecorder(Recorder):
             count += len(wall.vertices)
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
-    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> SavedState:
         """Wait for the background jobs, then return the number of frames recorded so far, which a resumed run needs."""
         self._later.wait()
         return {"frames": self._frames}

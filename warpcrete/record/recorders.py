@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from ..core.records import Record
 from ..core.run.recorder import Recorder
 from ..core.run.viewer import LOOPBACK
 from .checks import Check, CheckRecorder
@@ -53,9 +53,9 @@ RECORDERS = (
 def recorders_of(
     folder: Path,
     check: Check | None,
-    chosen: Mapping[str, Any],
+    chosen: Mapping[str, object],
     look: DrawSettings | None = None,
-    command: dict[str, Any] | None = None,
+    command: Record | None = None,
     *,
     going_on: bool = False,
     again: bool = False,

@@ -11,6 +11,7 @@ from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Colour, Display, Profile
 from ..core.drawing.paint import COLOUR_STEPS, Paint, packed
 from ..core.drawing.style import THEORY
+from ..core.records import SavedState
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
 from ..core.run.simulation_base import SimulationBase
@@ -77,7 +78,7 @@ class RerunRecorder(Recorder):
         self._describe(display)
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
-    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: SavedState) -> None:
         """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
@@ -104,7 +105,7 @@ class RerunRecorder(Recorder):
         else:
             self._places = dict(state["places"])
 
-    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> SavedState:
         """Return the data with which a resumed run continues the recording in its next part."""
         self._later.wait()
         following = self._stream.part + (self.path is not None)
@@ -291,7 +292,7 @@ class RerunRecorder(Recorder):
                 line = rr.SeriesLines(names=curve.label, colors=colours)
                 self._log(f"{plot.path}/{curve.name}", line, static=True)
 
-    def _log(self, path: str, what: Any, static: bool = False) -> None:
+    def _log(self, path: str, what: object, static: bool = False) -> None:
         self._later.yield_to_run()
         self._stream.log(path, what, static)
 
@@ -313,7 +314,7 @@ class RerunRecorder(Recorder):
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
-    def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
+    def _open(self, display: Display, recording_id: str, part: int, blueprint: object) -> None:
         scene = display.simulation.scene
         self._display = display
         walls = display.walls()

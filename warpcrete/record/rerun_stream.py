@@ -77,7 +77,7 @@ class RerunStream:
         """True after :meth:`connect` has opened the recording."""
         return self._recording is not None
 
-    def connect(self, application: str, caption: str, recording_id: str, part: int, blueprint: Any) -> None:
+    def connect(self, application: str, caption: str, recording_id: str, part: int, blueprint: object) -> None:
         """Begin a recording: open its file and, for a live recording, the viewer.
 
         A recording may consist of several files, and `part` is the number of the file to open. `caption` is the title
@@ -101,7 +101,7 @@ class RerunStream:
         self.part += 1
         self._open_sinks()
 
-    def log(self, path: str, what: Any, static: bool = False) -> None:
+    def log(self, path: str, what: object, static: bool = False) -> None:
         """Record the data `what` under `path`; if `static` is true, the data apply to all times."""
         try:
             self._recording.log(path, what, static=static)
@@ -134,7 +134,7 @@ class RerunStream:
         if self.path is not None and self.part > 0:
             join([self.part_path(number) for number in range(self.part + 1)], self.path)
 
-    def _open_sinks(self, **settings: Any) -> None:
+    def _open_sinks(self, **settings: object) -> None:
         """Open the file of the current part and the connection to a viewer; raise :class:`RunFolderError` on failure.
 
         Rerun's writer may never return if the disk is full. A separate thread therefore calls the writer, and this

@@ -10,6 +10,7 @@ from typing import Any, Literal, TextIO
 from ..core.errors import RunFolderError
 from ..core.inputs.by_name import trust_option
 from ..core.inputs.origin import Arguments, changed_fields, readable
+from ..core.records import Record, SavedState
 from ..core.run.ending import Ending
 from ..core.run.files import atomic_file, cannot_write, read_json, write_json
 from ..core.run.folders import FolderLock, make_folder
@@ -24,7 +25,7 @@ SAME_RUN = ("scene", "parameters", "files", "device", "precision", "command")
 """Entries of scene.json that must be equal for a simulation that continues the run in an existing folder."""
 
 
-def scene_record(simulation: SimulationBase, command: dict[str, Any] | None = None) -> dict[str, Any]:
+def scene_record(simulation: SimulationBase, command: Record | None = None) -> Record:
     """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
     `command` holds settings that are stored for a resumed run. If the scene was modified after its function had built
@@ -57,7 +58,7 @@ class TableRecorder(Recorder):
     """
 
     def __init__(
-        self, folder: Path, command: dict[str, Any] | None = None, *, going_on: bool = False, again: bool = False
+        self, folder: Path, command: Record | None = None, *, going_on: bool = False, again: bool = False
     ) -> None:
         self.folder, self.command, self.going_on, self.again = folder, command, going_on, again
         self._folder_hold: FolderLock | None = None
@@ -141,7 +142,7 @@ class TableRecorder(Recorder):
         except OSError as error:
             raise cannot_write(self._series, error) from error
 
-    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: SavedState) -> None:
         """Rewrite series.csv with the rows up to the checkpoint, and open the file for further rows."""
         self.claim(simulation)
         with atomic_file(self._series) as partial:
@@ -199,7 +200,7 @@ class TableRecorder(Recorder):
             self._folder_hold = None
 
 
-def _check_same_run(path: Path, record: dict[str, Any]) -> None:
+def _check_same_run(path: Path, record: Record) -> None:
     """Raise :class:`RunFolderError` unless the scene.json at `path` describes the same run as `record`."""
     there, here = read_json(path), json.loads(json.dumps(record))
     difference = _difference({name: there.get(name) for name in SAME_RUN}, {name: here[name] for name in SAME_RUN})

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Display, DrawnWall, RigidBodies
+from ..core.records import SavedState
 from ..core.run.files import atomic_file, cannot_write
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
@@ -46,7 +47,7 @@ class UsdRecorder(Recorder):
 
         self._build(simulation, Usd.Stage.CreateInMemory())
 
-    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: SavedState) -> None:
         """Open the file of the checkpoint and remove all time samples after the checkpoint."""
         from pxr import Sdf, Tf, Usd
 
@@ -70,7 +71,7 @@ class UsdRecorder(Recorder):
                         layer.EraseTimeSample(path, code)
         self._build(simulation, Usd.Stage.Open(layer))
 
-    def _build(self, simulation: SimulationBase, stage: Any) -> None:
+    def _build(self, simulation: SimulationBase, stage: object) -> None:
         """Define all objects on the USD stage, with the data that does not change in time.
 
         Objects that exist already, because a run is resumed, keep their time samples.
@@ -160,7 +161,7 @@ class UsdRecorder(Recorder):
             assert values is not None and paint is not None
             painted.set(values, paint, code)
 
-    def _pose(self, number: int, code: Any) -> None:
+    def _pose(self, number: int, code: object) -> None:
         from pxr import Gf
 
         position, (x, y, z, w) = self._display.wall_pose(number)
@@ -176,7 +177,7 @@ class UsdRecorder(Recorder):
             finally:  # Write the frames that are complete, even if a background job of this recorder failed.
                 self._write()
 
-    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> SavedState:
         """Return the USD time codes of the first and the last frame [ms], which a resumed run needs."""
         self._later.wait()
         return {"first": self._first, "last": self._last}
@@ -236,7 +237,7 @@ class _Instances:
         extents = np.array([prototype.extent for prototype in rigid.prototypes])
         self._reach = size * extents[rigid.prototype] if len(size) else size
 
-    def frame(self, display: Display, code: Any) -> None:
+    def frame(self, display: Display, code: object) -> None:
         from pxr import Vt
 
         pose = display.pose()
@@ -267,7 +268,7 @@ class _Surface:
         self._colours = Colours(self._mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex))
         bind(self._mesh.GetPrim(), bodies_look(stage))
 
-    def frame(self, display: Display, code: Any) -> None:
+    def frame(self, display: Display, code: object) -> None:
         from pxr import UsdGeom, Vt
 
         mesh, surface = self._mesh, display.surface()
@@ -296,7 +297,7 @@ class _Points:
         self._colours = Colours(self._points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex))
         bind(self._points.GetPrim(), bodies_look(stage))
 
-    def frame(self, display: Display, code: Any) -> None:
+    def frame(self, display: Display, code: object) -> None:
         from pxr import Vt
 
         place = display.centres().astype(np.float32)

@@ -184,7 +184,7 @@ class StandardTest:
             problem = f"has no {', '.join(missing)}, which the test {self.name!r} needs"
             refuse("dimensions", dict(given), problem, "add the missing dimensions")
 
-    def sizes(self, given: Any) -> dict[str, float]:
+    def sizes(self, given: object) -> dict[str, float]:
         """Return the dimensions of the vessel [m] by name, taken from the scene parameters `given`."""
         return {name: getattr(given, name) for name in self.dimensions}
 
@@ -254,7 +254,7 @@ def quantities_of_tests(
         for each in of(test):
             found.setdefault(each.name, {})[test] = each
 
-    def value(variants: dict[StandardTest, Quantity], known: Any) -> float | None:
+    def value(variants: dict[StandardTest, Quantity], known: object) -> float | None:
         seen = outcome(known)
         return variants[seen.test].of(seen) if seen and seen.test in variants else None
 

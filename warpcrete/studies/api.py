@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.errors import SceneError, flag, refuse, suggested
 from ..core.inputs.parameters import declared_fields
+from ..core.inputs.scene_functions import SceneFunction
 from ..core.run.files import output_folder
 from ..core.run.progress import progress_bar, stderr_is_terminal
 from .study import Progress, run_study
@@ -24,8 +25,8 @@ LISTS = (list, tuple, range, np.ndarray)
 
 
 def study(
-    scene: Any, *, vary: Mapping[str, Sequence[Any]] | None = None, out: Path | str | None = None,
-    quiet: bool | None = None, **given: Any,
+    scene: SceneFunction, *, vary: Mapping[str, Sequence[object]] | None = None, out: Path | str | None = None,
+    quiet: bool | None = None, **given: object,
 ) -> Study:  # fmt: skip
     """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
 
@@ -69,7 +70,7 @@ def study(
         return run_study(name, module, vary, base=given, out=folder, progress=tell, **settings)
 
 
-def check_settings(scene: Any, given: Iterable[str], settings: Sequence[str]) -> None:
+def check_settings(scene: SceneFunction, given: Iterable[str], settings: Sequence[str]) -> None:
     """Refuse a name in `given` that is no parameter of the scene and resembles one of the names in `settings`."""
     known = declared_fields(scene.parameters)
     for name in given:
@@ -87,7 +88,7 @@ def study_progress(quiet: bool) -> Generator[Progress | None]:
     called = False
     with progress_bar(quiet) as bar:
 
-        def announced(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+        def announced(phase: str, fraction: float, figures: dict[str, float]) -> None:
             nonlocal called
             if not called:
                 called = True
@@ -102,7 +103,7 @@ def study_progress(quiet: bool) -> Generator[Progress | None]:
         yield None if bar is None else announced
 
 
-def module_of(scene: Any) -> tuple[str, Any]:
+def module_of(scene: SceneFunction) -> tuple[str, Any]:
     """Return the command-line name and the module of a scene function; raise :class:`SceneError` for other objects."""
     module = getattr(scene, "module", None)
     if module is None or getattr(module, "scene", None) is not scene:

@@ -5,9 +5,10 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from ..core.errors import flag, refuse, whole
+from ..core.inputs.scene_functions import SceneFunction
+from ..core.records import SceneArguments
 
 MAX_NAME_LENGTH = 120
 """Maximum length of a run folder's name [characters]; file systems allow 255 bytes."""
@@ -22,17 +23,17 @@ class Case:
 
     name: str
     """Name of the case's run folder."""
-    varied: dict[str, Any]
+    varied: SceneArguments
     """Values of the varied parameters in this case, by name; the seed is left out."""
-    parameters: dict[str, Any] = field(repr=False)
+    parameters: SceneArguments = field(repr=False)
     """All keyword arguments of the scene function."""
 
 
 def cases_of(
-    base: Mapping[str, Any],
-    varied: Mapping[str, Sequence[Any]],
+    base: Mapping[str, object],
+    varied: Mapping[str, Sequence[object]],
     *,
-    defaults: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, object] | None = None,
     repeat: int = 1,
     one_at_a_time: bool = False,
     seeded: bool = True,
@@ -73,7 +74,7 @@ def cases_of(
     return cases
 
 
-def is_random(scene: Any) -> bool:
+def is_random(scene: SceneFunction) -> bool:
     """Return whether a scene's results depend on its random seed."""
     parts = (getattr(scene, name, None) for name in ("fill", "aggregates", "aggregate_fraction"))
     return any(part is not None for part in parts)
@@ -89,27 +90,27 @@ def short_name(words: str) -> str:
     return f"{words[: MAX_NAME_LENGTH - 11]}-{hashlib.sha256(words.encode()).hexdigest()[:10]}"
 
 
-def _all_combinations(varied: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+def _all_combinations(varied: Mapping[str, Sequence[object]]) -> list[SceneArguments]:
     return [dict(zip(varied, values)) for values in itertools.product(*varied.values())]
 
 
 def _one_at_a_time(
-    base: Mapping[str, Any], varied: Mapping[str, Sequence[Any]], defaults: Mapping[str, Any]
-) -> list[dict[str, Any]]:
+    base: Mapping[str, object], varied: Mapping[str, Sequence[object]], defaults: Mapping[str, object]
+) -> list[SceneArguments]:
     """Return the sets of parameter values in which at most one varied parameter differs from its base value.
 
     The base value is the value in `base` or, if there is none, in `defaults`. Every set names all varied parameters.
     """
     held = {name: base.get(name, defaults.get(name)) for name in varied}
     points = [held | {name: value} for name, values in varied.items() for value in values]
-    unique: list[dict[str, Any]] = []
+    unique: list[SceneArguments] = []
     for point in points:
         if point not in unique:
             unique.append(point)
     return unique
 
 
-def name_part(value: Any) -> str:
+def name_part(value: object) -> str:
     """Return a value as part of a folder's name, with unsafe characters replaced."""
     return "".join(
         c if c.isalnum() or c in ".+-" else "_" for c in (f"{value:g}" if isinstance(value, float) else str(value))

@@ -23,7 +23,9 @@ import warp as wp
 from ..core.device.device import default_threads, find_device
 from ..core.device.interrupts import StopAtSample, ignore_interrupts
 from ..core.errors import WarpcreteError, refuse, warn_in_one_line, whole
+from ..core.records import Record
 from ..core.run.provenance import processor, provenance
+from ..core.run.scene_module import SceneModule
 from ..core.run.viewer import LOOPBACK
 from .cases import Case
 from .running import OutcomeCallback, previous_outcome, run_cases
@@ -107,7 +109,7 @@ class Cluster:
             raise found
         return found
 
-    def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
+    def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, Record]:
         """Return the device that a worker uses if the user requests `device`, and a record of device and software."""
         return self.ask(_machine, self.device(device), precision, seed)
 
@@ -122,7 +124,7 @@ class Cluster:
         return found[0]
 
     def run(
-        self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], store_outcome: OutcomeCallback
+        self, record: Record, module: SceneModule, folder: Path, pending: list[Case], store_outcome: OutcomeCallback
     ) -> None:
         """Run the `pending` cases of a study, and call `store_outcome` for each case.
 
@@ -133,7 +135,7 @@ class Cluster:
             count = self._workers or self.count
             parts = [part for k in range(count) if (part := pending[k::count])]
 
-        def store_part(part: list[Case], found: Any) -> None:
+        def store_part(part: list[Case], found: object) -> None:
             for case, outcome in zip(part, [found] * len(part) if isinstance(found, Exception) else found):
                 store_outcome(case, outcome)
 
@@ -343,7 +345,7 @@ def unnumbered(device: str | None) -> str | None:
     return "cuda" if device is not None and device.startswith("cuda") else device
 
 
-def dask_setup(worker: Any) -> None:
+def dask_setup(worker: object) -> None:
     """Make a worker process on this machine ignore Ctrl-C, which the parent process handles.
 
     Dask calls this function when it preloads this module in the worker process.
@@ -352,7 +354,7 @@ def dask_setup(worker: Any) -> None:
     ignore_interrupts()
 
 
-def _machine(device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
+def _machine(device: str | None, precision: str, seed: int) -> tuple[str, Record]:
     found = find_device(device)
     return str(found), provenance(found, precision, seed)
 
@@ -363,9 +365,7 @@ def hardware(device: str | None) -> str:
     return found.name if found.is_cuda else processor()
 
 
-def _run_job(
-    function: Callable[..., T], record: dict[str, Any], module_name: str, folder: str, job: Any, stop: str
-) -> T:
+def _run_job(function: Callable[..., T], record: Record, module_name: str, folder: str, job: object, stop: str) -> T:
     """Run one job on a worker.
 
     A lock prevents two jobs from running at the same time, because a process can capture the kernel launches of only
@@ -376,7 +376,7 @@ def _run_job(
 
 
 def _run_part(
-    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], stop_requested: Callable[[], bool]
+    record: Record, module: SceneModule, folder: Path, cases: list[Case], stop_requested: Callable[[], bool]
 ) -> list[Any]:
     """Run cases of a study on a worker, and return the outcomes of all `cases` in their order.
 

@@ -7,7 +7,7 @@ import textwrap
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,11 +15,15 @@ from ..core.drawing.style import MEASURED, SERIES, THEORY, legend_above, new_fig
 from ..core.errors import SceneError, known_names, one_of, refuse
 from ..core.inputs.amounts import UNITS
 from ..core.inputs.concretes import is_file
+from ..core.records import Record
 from ..core.run.method import Quantity
 from ..core.units import rounded, shown
 from ..methods import method_of
 from ..mps.common.mixes import CONSTANTS
 from ..scenes import modules
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MARKERS = ("o", "s", "^", "D", "v")
 TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
@@ -153,7 +157,7 @@ def _worded(study: Any, name: str, value: Any) -> str:
     return f"{name.replace('_', ' ')} {study.worded(name, value, factor)} {unit}".strip()
 
 
-def _series(study: Any, rows: list[dict[str, Any]], name: str) -> dict[str, list[dict[str, Any]]]:
+def _series(study: Any, rows: list[Record], name: str) -> dict[str, list[Record]]:
     """Split the rows of a study's table into series in which only the parameter `name` varies.
 
     The rows of a series have the same values of all other varied parameters. The result maps a label with these values
@@ -161,20 +165,20 @@ def _series(study: Any, rows: list[dict[str, Any]], name: str) -> dict[str, list
     """
     others = [other for other in study.varied if other != name]
 
-    def place(row: dict[str, Any]) -> list[tuple[bool, float, str]]:
+    def place(row: Record) -> list[tuple[bool, float, str]]:
         return [
             (isinstance(value, str), 0.0, value) if isinstance(value, str) else (False, float(value or 0), "")
             for value in (row.get(other) for other in others)
         ]
 
-    found: dict[str, list[dict[str, Any]]] = {}
+    found: dict[str, list[Record]] = {}
     for row in sorted(rows, key=place):
         found.setdefault(", ".join(_worded(study, n, row[n]) for n in others if n in row), []).append(row)
     return found
 
 
 def _panel(
-    axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity],
+    axes: Any, study: Any, rows: list[Record], name: str, drawn: list[Quantity],
     x_scale: tuple[float, str], y_scale: tuple[float, str], theory: _TheoryCurves,
 ) -> None:  # fmt: skip
     """Draw all quantities of one physical unit, as functions of the parameter `name`, into one panel of the figure.
@@ -186,7 +190,7 @@ def _panel(
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     series = list(zip(_series(study, mine, name).items(), itertools.cycle(SERIES)))
 
-    def at(row: dict[str, Any]) -> float:
+    def at(row: Record) -> float:
         """Return the horizontal position of a row's parameter value; words have the positions 0, 1, 2 and so on."""
         return row.get(name, 0) * x_scale[0] if numeric else values.index(row.get(name, 0))
 
@@ -284,7 +288,7 @@ class _TheoryCurves:
         found = [(place, expected[wanted]) for place, expected in self._known[key] if wanted in expected]
         return ([place for place, _ in found], [value for _, value in found]) if found else None
 
-    def _expected(self, given: Mapping[str, Any], name: str, place: float) -> Mapping[str, float]:
+    def _expected(self, given: Mapping[str, object], name: str, place: float) -> Mapping[str, float]:
         """Return the closed-form predictions of all quantities of a scene, by name; empty if the scene is invalid.
 
         The scene has the parameters `given`, except that the parameter `name` has the value `place`.
@@ -308,7 +312,7 @@ def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:
     return line
 
 
-def _set_height(axes: Any) -> None:
+def _set_height(axes: Axes) -> None:
     """Set the range of the vertical axis: leave room for markers, and begin at zero if all values are positive."""
     lower, upper = axes.dataLim.intervaly
     if not np.isfinite(lower + upper):

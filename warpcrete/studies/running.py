@@ -13,9 +13,11 @@ from ..core.device.interrupts import StopAtSample
 from ..core.errors import WarpcreteError
 from ..core.inputs.origin import check_files
 from ..core.inputs.text_files import saved_text
+from ..core.records import Record
 from ..core.run.files import read_json
 from ..core.run.folders import FolderLock
 from ..core.run.run import Run
+from ..core.run.scene_module import SceneModule
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
@@ -35,7 +37,7 @@ OutcomeCallback = Callable[[Case, Any], None]
 
 
 def simulation_of(
-    record: dict[str, Any], module: Any, folder: Path, case: Case, progress: Progress
+    record: Record, module: SceneModule, folder: Path, case: Case, progress: Progress
 ) -> tuple[Simulation, Path | None]:
     """Return the simulation of a case, and the path of the checkpoint from which it continues, or None without one."""
     here, command = folder / case.name, record["command"]
@@ -62,7 +64,7 @@ def simulation_of(
 
 
 def simulations_of(
-    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], progress_of: Callable[[Case], Progress]
+    record: Record, module: SceneModule, folder: Path, cases: list[Case], progress_of: Callable[[Case], Progress]
 ) -> tuple[dict[str, tuple[Simulation, Path | None]], dict[str, Any]]:
     """Return the simulations and checkpoints of the cases by case name, and the exceptions of cases that are refused.
 
@@ -78,8 +80,8 @@ def simulations_of(
 
 
 def run_on_gpu(
-    record: dict[str, Any],
-    module: Any,
+    record: Record,
+    module: SceneModule,
     folder: Path,
     pending: list[Case],
     store_outcome: OutcomeCallback,
@@ -92,14 +94,14 @@ def run_on_gpu(
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
     def progress_of(case: Case) -> Progress:
-        def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+        def report_progress(phase: str, fraction: float, figures: dict[str, float]) -> None:
             if phase == "running":
                 done[case.name] = fraction
                 progress("running", sum(done.values()) / len(done), {})
 
         return report_progress
 
-    def store(case: Case, outcome: Any) -> None:
+    def store(case: Case, outcome: object) -> None:
         store_outcome(case, outcome)
         # A case that failed or finished counts as complete in the progress, even if its run ended early.
         if isinstance(outcome, Exception) or (isinstance(outcome, Run) and outcome.finished):
@@ -112,8 +114,8 @@ def run_on_gpu(
 
 
 def _run_group(
-    record: dict[str, Any],
-    module: Any,
+    record: Record,
+    module: SceneModule,
     folder: Path,
     group: list[Case],
     store_outcome: OutcomeCallback,
@@ -157,8 +159,8 @@ def _outcomes(
 
 
 def run_in_processes(
-    record: dict[str, Any],
-    module: Any,
+    record: Record,
+    module: SceneModule,
     folder: Path,
     pending: list[Case],
     processes: int | None,
@@ -196,15 +198,13 @@ def run_in_processes(
             print("interrupted, because a worker process received SIGTERM", file=sys.stderr, flush=True)
 
 
-def run_case(
-    record: dict[str, Any], module_name: str, folder: str, case: Case, stop_requested: Callable[[], bool]
-) -> Any:
+def run_case(record: Record, module_name: str, folder: str, case: Case, stop_requested: Callable[[], bool]) -> Any:
     """Run one case in a worker process; return the contents of its result.json, or the exception that ended it."""
     return run_cases(record, importlib.import_module(module_name), Path(folder), [case], stop_requested)[0]
 
 
 def run_cases(
-    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], stop_requested: Callable[[], bool]
+    record: Record, module: SceneModule, folder: Path, cases: list[Case], stop_requested: Callable[[], bool]
 ) -> list[Any]:
     """Run cases of a study at the same time, and return their outcomes.
 
@@ -230,7 +230,7 @@ def stop_callback(stop_requested: Callable[[], bool], simulations: Sequence[Simu
     packing, it is interrupted at once by a `KeyboardInterrupt`.
     """
 
-    def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def report_progress(phase: str, fraction: float, figures: dict[str, float]) -> None:
         if stop_requested():
             if phase not in ("running", "compiling"):
                 raise KeyboardInterrupt
@@ -240,7 +240,7 @@ def stop_callback(stop_requested: Callable[[], bool], simulations: Sequence[Simu
     return report_progress
 
 
-def _plain(outcome: Any) -> Any:
+def _plain(outcome: object) -> Any:
     """Return an outcome in a form that can be sent to another process.
 
     A run is replaced by the contents of its result.json. An exception loses its traceback, because the traceback holds

@@ -28,10 +28,13 @@ from ..core.inputs.by_name import names_from_file
 from ..core.inputs.limits import check_limit
 from ..core.inputs.origin import check_files, check_named
 from ..core.inputs.parameters import CompositeRule, Needs
+from ..core.inputs.scene_functions import SceneFunction
+from ..core.records import Record, SceneArguments
 from ..core.run.files import check_new, read_record, write_json
 from ..core.run.folders import locked_folder, new_folder
 from ..core.run.provenance import provenance
 from ..core.run.run import Run
+from ..core.run.scene_module import SceneModule
 from ..methods import method_of
 from ..record.recorders import RECORDERS
 from ..scenes import modules
@@ -46,10 +49,10 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 
 def run_study(
     scene_name: str,
-    module: Any,
-    varied: Mapping[str, Sequence[Any]],
+    module: SceneModule,
+    varied: Mapping[str, Sequence[object]],
     *,
-    base: Mapping[str, Any] | None = None,
+    base: Mapping[str, object] | None = None,
     out: Path,
     repeat: int = 1,
     one_at_a_time: bool = False,
@@ -77,7 +80,7 @@ def run_study(
     """
     check_scheduler(scheduler, workers, processes)
     units = written_units(module.scene, {n: [v] for n, v in (base or {}).items()} | dict(varied)) | dict(units or {})
-    given: dict[str, Any] = module.scene.resolved(base or {})
+    given: SceneArguments = module.scene.resolved(base or {})
     varied = _resolved_values(module.scene, varied)
     known = module.scene.fields({**{name: values[0] for name, values in varied.items() if values}, **given})
     for name in varied:
@@ -112,7 +115,7 @@ def run_study(
 
 def run_listed(
     scene_name: str,
-    module: Any,
+    module: SceneModule,
     cases: Sequence[Case],
     *,
     out: Path,
@@ -180,7 +183,7 @@ def run_listed(
 
 def resume_study(
     folder: Path,
-    module: Any,
+    module: SceneModule,
     *,
     processes: int | None = None,
     scheduler: str | None = None,
@@ -202,7 +205,7 @@ def resume_study(
 
 
 def _continue(
-    folder: Path, module: Any, processes: int | None, cluster: Cluster | None, progress: Progress | None
+    folder: Path, module: SceneModule, processes: int | None, cluster: Cluster | None, progress: Progress | None
 ) -> Study:
     """Run all unfinished cases of the study in `folder`, and write the tables and the figure."""
     record, study = _opened(folder, module)
@@ -214,12 +217,12 @@ def _continue(
         """Report the fraction of the cases that have finished or failed."""
         tell("running", (len(study.results) + len(study.failures)) / len(cases), {})
 
-    def tell_pending(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def tell_pending(phase: str, fraction: float, figures: dict[str, float]) -> None:
         """Report a fraction of the pending cases as a fraction of all cases, or the progress of another phase."""
         all_done = 1 - (1 - fraction) * len(pending) / len(cases)
         tell(phase, all_done if phase == "running" else fraction, figures)
 
-    def store_outcome(case: Case, outcome: Any) -> None:
+    def store_outcome(case: Case, outcome: object) -> None:
         """Store the outcome of a case.
 
         A failure is final if the simulation was unstable or the scene invalid. After any other failure, the case runs
@@ -255,7 +258,7 @@ def _continue(
 
 
 @names_from_file()
-def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
+def _opened(folder: Path, module: SceneModule) -> tuple[Record, Study]:
     """Read the record of the study in `folder`; return the record and a :class:`Study` that has no results yet."""
     record = read_record(folder / "study.json")
     try:
@@ -293,7 +296,7 @@ def load_study(folder: Path) -> Study:
     return study
 
 
-def written_units(scene: Any, written: Mapping[str, Sequence[Any]]) -> dict[str, str]:
+def written_units(scene: SceneFunction, written: Mapping[str, Sequence[object]]) -> dict[str, str]:
     """Return the units in which the user stated the values of parameters, by the parameter's name.
 
     `written` holds the values of each parameter as the user wrote them, such as "5 m3/h". A parameter is left out if
@@ -308,7 +311,7 @@ def written_units(scene: Any, written: Mapping[str, Sequence[Any]]) -> dict[str,
     return found
 
 
-def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+def _resolved_values(scene: SceneFunction, varied: Mapping[str, Sequence[object]]) -> dict[str, list[Any]]:
     """Return the values of the varied parameters, by name, with numbers in place of texts with units."""
     for name, values in varied.items():
         for value in values:
@@ -327,7 +330,7 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
     return found
 
 
-def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
+def _without_idle_parameters(scene: SceneFunction, cases: Sequence[Case]) -> list[Case]:
     """Remove from each case the parameters that do not affect its results, and return the cases.
 
     Raises :class:`SceneError` if a varied parameter affects none of the cases. If a parameter that is not varied
@@ -360,7 +363,7 @@ def _take_over(study: Study, case: Case) -> bool:
     return found is not None
 
 
-def _store_outcome(study: Study, case: Case, found: Any) -> None:
+def _store_outcome(study: Study, case: Case, found: object) -> None:
     if isinstance(found, dict):
         study.results[case.name] = found
     elif found is not None:

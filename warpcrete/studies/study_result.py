@@ -1,18 +1,21 @@
 """Cases and results of a parameter study, with their table and figure."""
 
+from __future__ import annotations
+
 import csv
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.drawing.html import html_table
 from ..core.inputs.amounts import UNITS
 from ..core.inputs.concretes import is_file
+from ..core.records import Record
 from ..core.run.files import atomic_file
 from ..core.run.method import Quantity
 from ..core.run.run import Run
@@ -23,6 +26,9 @@ from ..record.loading import load as load_run
 from .cases import Case
 from .drawing import draw
 from .study_table import columns_of, write_parquet
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COUNTS = ("runs", "failed", "suspect")
 """Columns that count runs: finished runs, runs that ended with an error, and finished runs with a failed check."""
@@ -40,7 +46,7 @@ class Study:
     """Quantities in which the cases are compared."""
     units: Mapping[str, str] = field(default_factory=dict)
     """Units of the varied parameters, by name; parameters without a unit are missing."""
-    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    results: dict[str, Record] = field(default_factory=dict)
     """Contents of result.json of every finished case, by case name."""
     failures: dict[str, str] = field(default_factory=dict)
     """Messages of the errors that ended cases, by case name."""
@@ -103,7 +109,7 @@ class Study:
         unit, written = self.units.get(parameter, ""), self.written.get(parameter, "")
         return (1 / UNITS[unit][written], written) if written in UNITS.get(unit, ()) else (1.0, unit)
 
-    def worded(self, parameter: str, value: Any, factor: float | None = None) -> str:
+    def worded(self, parameter: str, value: object, factor: float | None = None) -> str:
         """Return the value of a parameter as text, with numbers in the unit of display and without the unit.
 
         `factor` converts a number to the unit of display; by default it is the factor that :meth:`unit` returns. The
@@ -113,7 +119,7 @@ class Study:
             return rounded(value * (self.unit(parameter)[0] if factor is None else factor))
         return Path(value).stem if isinstance(value, str) and is_file(value) else str(value)
 
-    def rows(self, quantities: Sequence[Quantity] | None = None) -> list[dict[str, Any]]:
+    def rows(self, quantities: Sequence[Quantity] | None = None) -> list[Record]:
         """Return one row for each set of varied values: means and standard deviations of quantities over the seeds.
 
         `quantities` are the quantities in the rows, by default those of :attr:`compared`. The standard deviation of a
@@ -125,7 +131,7 @@ class Study:
             groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)
         rows = []
         for members in groups.values():
-            row: dict[str, Any] = dict(members[0].varied)
+            row: Record = dict(members[0].varied)
             done = [self.results[c.name] for c in members if c.name in self.results]
             for each in self.compared if quantities is None else quantities:
                 values = [number(r[each.name]) for r in done if r.get(each.name) is not None]
@@ -189,7 +195,7 @@ class Study:
 
     def plot(
         self, quantity: str | None = None, x: str | None = None, unit: str | None = None, y_unit: str | None = None
-    ) -> Any:
+    ) -> Figure:
         """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
         `quantity` selects one number in the results of the runs, such as "pressure", which is drawn together with its

@@ -61,7 +61,7 @@ class WorkerPool:
     def __enter__(self) -> WorkerPool:
         return self
 
-    def __exit__(self, *unused: Any) -> None:
+    def __exit__(self, *unused: object) -> None:
         """End all workers immediately, including those that run a case."""
         for worker in self._workers:
             worker.end()
@@ -73,7 +73,7 @@ class WorkerPool:
             for worker in self._workers:
                 worker.send(STOP)
 
-    def run(self, *job: Any) -> Any:
+    def run(self, *job: object) -> Any:
         """Run a job (a function and its arguments) in a worker process; return its result or the exception it raised.
 
         If the worker receives SIGTERM, all workers are told to stop, as after a Ctrl-C; the result is None if SIGTERM
@@ -89,7 +89,7 @@ class WorkerPool:
             self.stop()
         return found
 
-    def _answer_of(self, *job: Any) -> tuple[Any, bool]:
+    def _answer_of(self, *job: object) -> tuple[Any, bool]:
         """Return the outcome of a job, and whether its worker has received SIGTERM."""
         with self._lock:
             worker = self._idle.pop() if self._idle else _Worker()
@@ -139,7 +139,7 @@ class _Worker:
                 f"no worker process can be started: {error}; run without worker processes, with 'processes' = 1"
             ) from error
 
-    def send(self, message: Any) -> None:
+    def send(self, message: object) -> None:
         """Send a message to the worker. If the worker is dead, this is detected only when its answer is read."""
         assert self._process.stdin is not None
         data = pickle.dumps(message)
@@ -193,7 +193,7 @@ def serve() -> None:
     warnings.simplefilter("ignore", PlausibilityWarning)
     terminated: list[int] = []
 
-    def terminate(signum: int, frame: Any) -> None:
+    def terminate(signum: int, frame: object) -> None:
         terminated.append(signum)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
@@ -238,7 +238,7 @@ def _answer(answers: Any, *message: Any) -> None:
     answers.flush()
 
 
-def _outcome(function: tuple[str, str], arguments: tuple[Any, ...], stop_requested: Callable[[], bool]) -> Any:
+def _outcome(function: tuple[str, str], arguments: tuple[object, ...], stop_requested: Callable[[], bool]) -> Any:
     """Return the result of a function that is named by its module and name, or the exception that it raises.
 
     The function receives `stop_requested` as its last argument.

@@ -1,12 +1,11 @@
 """Rigid aggregates in a grid flow: their initial state, and their arrays on a device."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ..core.device.arrays import host_copy
+from ..core.device.arrays import Scalar, host_copy
 from ..core.errors import at_most, refuse
 from ..dem.scene.clumps import ClumpTemplate, sphere
 from ..kernels.suspension.bodies import BodyKind, body_structs
@@ -151,8 +150,8 @@ class BodyState:
     """State of the aggregates on a device: motion, neighbours, and the faces and cells of the grid that they cover."""
 
     def __init__(
-        self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any,
-        device: Any, friction: float = 0.0,
+        self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Scalar,
+        device: wp.Device, friction: float = 0.0,
     ) -> None:  # fmt: skip
         structs = body_structs(scalar)
         count, radius = aggregates.count, aggregates.radius

@@ -8,7 +8,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import warp as wp
 
+from ..core.device.arrays import Scalar
 from ..kernels.suspension.vectors import vector_struct
 from ..mps.common.allocation import allocate
 
@@ -23,7 +25,7 @@ class Directions:
     arrays of one vector, by name. Arrays are allocated when they are needed.
     """
 
-    def __init__(self, scalar: Any, device: Any, sizes: dict[str, int]) -> None:
+    def __init__(self, scalar: Scalar, device: wp.Device, sizes: dict[str, int]) -> None:
         self._scalar, self._device, self._sizes = scalar, device, sizes
         self._chunks: list[tuple[Any, Any]] = []
         self._each: list[tuple[Any, Any]] = []
@@ -54,7 +56,7 @@ class Directions:
             self._each += [tuple(self._part(whole, k) for whole in pair) for k in range(CHUNK)]
         return self._each[number]
 
-    def _part(self, whole: Any, number: int) -> Any:
+    def _part(self, whole: object, number: int) -> Any:
         part = vector_struct(self._scalar)()
         for name, size in self._sizes.items():
             setattr(part, name, getattr(whole, name)[number * size : (number + 1) * size])

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
+from ..core.device.arrays import Scalar
 from ..kernels.suspension.entering import entrance_struct
 from ..mps.common.allocation import allocate
 
@@ -22,7 +24,7 @@ class Entrance:
     gravity: np.ndarray
     """Gravitational acceleration [m/s2], shape (3,)."""
 
-    def on_device(self, centre: np.ndarray, scalar: Any, device: Any) -> Any:
+    def on_device(self, centre: np.ndarray, scalar: Scalar, device: wp.Device) -> Any:
         """Return the data of the plane and of the entering aggregates as a struct for kernels.
 
         `centre` holds the aggregates' centres at the start [m], shape (n, 3).

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.device.launching import Arguments, Stage
+from ..core.records import SavedState
 from ..dem.engine.stages import warp_width
 from ..kernels.common.control import HALTED
 from ..kernels.mps.grid.advection import advect_kernel
@@ -49,7 +51,7 @@ eight flows.
 class SuspensionStep(GridStep):
     """Stages of one time step of a mortar with aggregates, before and after the coupled solve."""
 
-    def before(self) -> list[Any]:
+    def before(self) -> list[Stage]:
         """Return the stages before the coupled solve, which set up its equations."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         serial = not flow.parallel
@@ -95,7 +97,7 @@ class SuspensionStep(GridStep):
             *self._complete(flow.projection),
         ]  # fmt: skip
 
-    def _entering(self, name: str, tasks: int | None = None, **named: Any) -> list[Any]:
+    def _entering(self, name: str, tasks: int | None = None, **named: object) -> list[Stage]:
         """Return the stage that runs one of the kernels for aggregates that enter through a plane.
 
         The stage is empty if no aggregates enter. The kernel has one task per aggregate unless `tasks` states another
@@ -107,7 +109,7 @@ class SuspensionStep(GridStep):
         kernel = getattr(entering_kernels(self.scalar, self.kind, flow.aggregates.kind), name)
         return self._alone(kernel, tasks or flow.aggregates.count, **named)
 
-    def _divergence(self) -> list[Any]:
+    def _divergence(self) -> list[Stage]:
         """Return the stage that computes the net inflow into each cell, and the matrix of the pressure projection."""
         kernel, system = (
             pressure_kernels(self.scalar, not self.flow.parallel, self.kind).divergence,
@@ -115,14 +117,14 @@ class SuspensionStep(GridStep):
         )
         return self._cells(kernel, matrix=system.matrix, projection=system.arrays)
 
-    def blocks(self) -> list[Any]:
+    def blocks(self) -> list[Stage]:
         """Return the stages that invert the diagonal blocks of each aggregate in the matrix of the viscous solve."""
         kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind, self.flow.aggregates.kind)
         tasks = self.flow.aggregates.count * warp_width(self.flow.device)
         inverse = self._alone(kernel, tasks, matrix=self.flow.viscous.matrix)
         return [*inverse, *self._entering("fix")]
 
-    def after(self) -> list[Any]:
+    def after(self) -> list[Stage]:
         """Return the stages after the coupled solve, which move the mortar and the aggregates."""
         flow, kind, scalar = self.flow, self.kind, self.scalar
         fixed = self.layout.periodic and self.layout.mean_velocity_fixed
@@ -141,13 +143,13 @@ class SuspensionStep(GridStep):
             *self._alone(flow.clock_kernels.tick, 1),
         ]
 
-    def _remember(self) -> list[Any]:
+    def _remember(self) -> list[Stage]:
         """Return the stage that stores the normal forces of contacts, on which friction depends in the next step."""
         bodies = self.flow.aggregates
         kernel = friction_kernels(self.scalar, self.kind, bodies.kind).remember
         return self._alone(kernel, bodies.spheres, longest=self.flow.scene.time_step)
 
-    def pressure_solve(self, tolerance: float) -> list[Any]:
+    def pressure_solve(self, tolerance: float) -> list[Stage]:
         """Return the stage that solves for the pressure increment."""
         return self._solve(self.flow.projection, PRESSURE, self.flow.mesh.increment, tolerance)
 
@@ -209,12 +211,12 @@ class SuspensionFlow(GridFlow):
         self._build_stages()
 
     @property
-    def kernel_arrays(self) -> dict[str, Any]:
+    def kernel_arrays(self) -> Arguments:
         """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
         return self._kernel_arrays
 
     @property
-    def _kernel_arrays(self) -> dict[str, Any]:
+    def _kernel_arrays(self) -> Arguments:
         return super()._kernel_arrays | {
             "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut,
             "pairs": self.aggregates.pairs, "entrance": self.entrance,
@@ -253,7 +255,7 @@ class SuspensionFlow(GridFlow):
     def state_arrays(self) -> dict[str, np.ndarray]:
         return super().state_arrays() | {f"aggregate_{name}": a for name, a in self.aggregates.state_dict().items()}
 
-    def load_state_dict(self, found: dict[str, Any]) -> None:
+    def load_state_dict(self, found: SavedState) -> None:
         """Restore the flow and its aggregates from a `state_dict`."""
         self.aggregates.load_state_dict(
             {name.removeprefix("aggregate_"): a for name, a in found["arrays"].items() if name.startswith("aggregate_")}

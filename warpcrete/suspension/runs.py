@@ -1,10 +1,9 @@
 """Base class for runs of mortar with aggregates, in vessels and in pipes."""
 
-from typing import Any
-
 import numpy as np
 
 from ..core.errors import InstabilityError
+from ..core.records import Record
 from ..core.units import quantity
 from ..mps.common.run import FlowRun
 from .balance import last_balance
@@ -59,7 +58,7 @@ class AggregateRun(FlowRun):
         volume = float(np.sum(layout.mass)) * layout.volume
         return 4 / 3 * np.pi * float(np.sum(self.flow.aggregates.radius**3)) / volume
 
-    def aggregate_sizes(self) -> dict[str, Any]:
+    def aggregate_sizes(self) -> Record:
         """Return number and volume fraction of the aggregates and the balance of momentum, for the run's result.
 
         With a sieve curve, also return the stated fraction and the smallest simulated size. Smaller aggregates count as

@@ -243,7 +243,7 @@ def read_sieve(sizes: str) -> SieveCurve | None:
     return SieveCurve.from_text(sizes, "aggregate_sizes", "must be 'uniform' or a sieve curve")
 
 
-def vessel_scene(parameters: AggregateParameters, **fields: Any) -> FreeScene:
+def vessel_scene(parameters: AggregateParameters, **fields: object) -> FreeScene:
     """Return the scene of a vessel, with aggregates if their volume fraction is above 0."""
     if parameters.aggregate_fraction > 0:
         return SuspensionScene(**fields, **parameters.aggregates())

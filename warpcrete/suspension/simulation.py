@@ -1,9 +1,8 @@
 """Simulation of a mortar with aggregates in a vessel, from a scene to a finished run."""
 
-from typing import Any
-
 import numpy as np
 
+from ..core.records import Record
 from ..core.run.method import results_of
 from ..core.run.tables import Table
 from ..mps.free.layout import free_cells, free_layout
@@ -74,11 +73,11 @@ class SuspensionSimulation(AggregateRun, FreeSimulation):
         mortar = mortar_part(beyond(self.flow, ring), passed, self.fraction)
         return {"aggregates_passed": passed, "mortar_passed": mortar}
 
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Record:
         """Return sizes of the model, such as the number of aggregates, for the run's result."""
         return super().sizes() | self.aggregate_sizes()
 
-    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return the entries of the result, which follow from the time series and the free surface, and the tables."""
         result, tables = super().outcome(series)
         return result | results_of(QUANTITIES, RunData(self.scene, series, self.volume)), tables

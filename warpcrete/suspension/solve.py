@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device.launching import Stage, completed
+from ..core.device.arrays import Kernel
+from ..core.device.launching import Arguments, Stage, completed
 from ..core.errors import CapacityError, ConvergenceError
 from ..dem.engine.stages import warp_width
 from ..kernels.common.reductions import BLOCK
@@ -143,7 +144,7 @@ class CoupledSolve:
     def _vector(self) -> Any:
         return self.directions.vector()
 
-    def _launch(self, kernel: Any, tasks: int, **named: Any) -> None:
+    def _launch(self, kernel: Kernel, tasks: int, **named: object) -> None:
         # A launch is recorded once for each set of arguments and then repeated; only the argument `factor` may change
         # between repetitions.
         key = (id(kernel), tasks, *((name, _identity(value)) for name, value in named.items() if name != "factor"))
@@ -155,7 +156,7 @@ class CoupledSolve:
         stage()
 
     @property
-    def _arrays(self) -> dict[str, Any]:
+    def _arrays(self) -> Arguments:
         flow = self.flow
         return flow.kernel_arrays | {
             "tasks": self.tasks, "partials": self.partials, "first": self.tasks // (BLOCK if flow.parallel else 1),

@@ -14,7 +14,6 @@ J_j is the integral of g h^j h'(g) dg from 0 to g.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -54,14 +53,14 @@ class FlowLaw:
         """Name of the law, such as :data:`HERSCHEL_BULKLEY`."""
         return law_name(self.index, self.quadratic)
 
-    def stress(self, rate: Any) -> np.ndarray:
+    def stress(self, rate: object) -> np.ndarray:
         """Return the stress [Pa] at nonnegative shear rates [1/s], or slip velocities [m/s] for a slip layer's law."""
         g = np.asarray(rate, float)
         if self.name == HERSCHEL_BULKLEY:
             return self.yield_stress + self.viscosity * g**self.index
         return self.yield_stress + self.viscosity * g + self.quadratic * g * g
 
-    def rate(self, stress: Any) -> np.ndarray:
+    def rate(self, stress: object) -> np.ndarray:
         """Return the shear rate [1/s], or slip velocity [m/s], at stresses [Pa]; up to the yield stress it is 0."""
         return self._rate_of_excess(np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0))
 
@@ -77,7 +76,7 @@ class FlowLaw:
             return 2 * excess / (self.viscosity + root)
         return excess / self.viscosity
 
-    def integrals(self, stress: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def integrals(self, stress: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the integrals J_0, J_1 and J_2 up to a `stress`.
 
         J_j is the integral of g h^j dh [Pa^(j + 1) / s]. Here h is the viscous stress, which is the stress minus the
@@ -99,7 +98,7 @@ class FlowLaw:
             g * (a**3 / 4 + 4 * a * a * b / 5 + 5 * a * b * b / 6 + 2 * b**3 / 7),
         )
 
-    def mean_velocity(self, stress: Any, radius: float, form: str) -> np.ndarray:
+    def mean_velocity(self, stress: object, radius: float, form: str) -> np.ndarray:
         """Return the velocity [m/s] that shear adds to the slip velocity, averaged over the cross-section.
 
         `stress` is the shear stress tau at the wall [Pa], and g is the shear rate at a stress s. In a pipe of `radius`
@@ -116,7 +115,7 @@ class FlowLaw:
                 return radius / safe**2 * (yields * zero + one)
             return radius / safe**3 * (yields**2 * zero + 2 * yields * one + two)
 
-    def stream(self, outer: Any, inner: Any) -> np.ndarray:
+    def stream(self, outer: object, inner: object) -> np.ndarray:
         """Return the integral of g s^2 ds from s = `inner` to s = `outer` [Pa3/s].
 
         Here s is the shear stress [Pa] and g the shear rate at this stress [1/s]. The flow through an annulus of a pipe

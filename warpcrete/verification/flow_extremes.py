@@ -9,11 +9,11 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..core.errors import ConvergenceError, InstabilityError, SceneError
+from ..core.records import SceneArguments
 from ..mps.scene import Aggregates, FluidScene
 from ..mps.simulation import FluidSimulation
 from ..theory.pipe import CONCRETES, Concrete
@@ -180,14 +180,14 @@ def scenes() -> Iterator[Case]:
         yield from _singles(f"{d}D: ", d)
     for corner in itertools.product(*AXES.values()):
         label = ", ".join(f"{name} {value:g}" for name, value in zip(AXES, corner))
-        values: dict[str, Any] = dict(zip(AXES, corner))
+        values: SceneArguments = dict(zip(AXES, corner))
         # A scene is refused if its piston moves by more than half a particle spacing per step.
         step = min(5e-4, 0.3 * 0.01 * math.pi * 0.05**2 / values["flow"])
         yield f"corner: {label}", lambda values=values, step=step: column(2, time_step=step, **values), STEPS
 
 
 def _singles(prefix: str, d: int) -> Iterator[Case]:
-    def case(name: str, **changes: Any) -> Case:
+    def case(name: str, **changes: object) -> Case:
         return prefix + name, lambda: column(d, **changes), STEPS
 
     yield case("all parameters at their middle")

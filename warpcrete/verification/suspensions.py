@@ -6,11 +6,11 @@ walls.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..core.device.device import find_device
+from ..core.records import SceneArguments
 from ..kernels.mps.grid.cells import GridKind
 from ..mps.grid.distances import Distance
 from ..mps.grid.filling import fill_cells
@@ -91,7 +91,7 @@ def mortar_state(
 
 def mortar_flow(
     cells: Sequence[int], width: float, aggregates: Aggregates, device: str, precision: str, *,
-    tolerances: Tolerances | None = None, friction: float = 0.0, **room: Any,
+    tolerances: Tolerances | None = None, friction: float = 0.0, **room: object,
 ) -> SuspensionFlow:  # fmt: skip
     """Return a flow of mortar with aggregates.
 
@@ -133,7 +133,7 @@ def slowing_by_cylinder(ratio: float) -> float:
     return upper / (1 - 0.75857 * ratio**5)
 
 
-def shear_room(across: int, wide: int, rate: float) -> dict[str, Any]:
+def shear_room(across: int, wide: int, rate: float) -> SceneArguments:
     """Return the arguments of :func:`mortar_state` for a shear flow with a shear rate of `rate` [1/s].
 
     The box is a cube with `wide` cells along each edge, between two walls that move in opposite directions along the

@@ -21,6 +21,7 @@ from typing import Any
 
 from ..errors import SceneError, refuse
 from ..narrowing import is_list_or_tuple, is_mapping
+from ..records import SceneArguments
 from .fingerprints import fingerprint
 from .origin import note_file
 from .parameters import CompositeRule, Field, declared_fields
@@ -113,7 +114,7 @@ class ByName(CompositeRule):
             return {field.name: None}, True
         kind: type[Any] = type(value)
         _note_source(kind)
-        own: dict[str, Any] = {}
+        own: SceneArguments = {}
         for key, (_, path) in _leaves(field.name, kind):
             own[key] = value
             for step in path:

@@ -21,6 +21,7 @@ from typing import Any
 
 from ..errors import known_names, one_line, refuse, suggested
 from ..narrowing import is_dict
+from ..records import Record
 from .limits import warn
 from .text_files import errors_in_file, errors_located_at, name_of, read_mapping
 from .yaml_files import merged
@@ -126,7 +127,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         return _concrete(given, path, depth)
 
 
-def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
+def _concrete(given: Record, path: Path, depth: int) -> NamedConcrete:
     """Return the concrete that the contents `given` of the file `path` describe, together with its base concrete.
 
     `depth` is the number of files that name this file as their base, directly or through other files.
@@ -151,7 +152,7 @@ def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
                     hint = "it belongs to the section 'mix': write 'mix:' above it, and indent it"
                 refuse("concrete", str(path), f"has the unknown key {key!r}", hint)
     texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
-    sections: dict[str, dict[str, Any]] = {}
+    sections: dict[str, Record] = {}
     for section in SECTIONS:
         found: object = given.get(section) or {}
         if not is_dict(found):
@@ -191,7 +192,7 @@ def _concrete(given: dict[str, Any], path: Path, depth: int) -> NamedConcrete:
     )  # fmt: skip
 
 
-def _factor_sources(given: Mapping[str, Any], flow: dict[str, Any], name: str) -> dict[str, str]:
+def _factor_sources(given: Mapping[str, object], flow: dict[str, Any], name: str) -> dict[str, str]:
     """Remove the entry `factor_source` from the section `flow` of the concrete `name`.
 
     Return the source of each factor in the section as one line. `given` are all entries of the file. A warning is given
@@ -212,7 +213,7 @@ def _factor_sources(given: Mapping[str, Any], flow: dict[str, Any], name: str) -
     return dict.fromkeys(factors, source)
 
 
-def _factors(flow: Mapping[str, Any]) -> Mapping[str, Any]:
+def _factors(flow: Mapping[str, object]) -> Mapping[str, Any]:
     """Return the factors for another age or temperature in a section `flow`."""
     found = merged(flow)
     for key in set(found).difference(FACTOR_KEYS):
@@ -238,7 +239,7 @@ def _base(name: str, path: Path, depth: int) -> NamedConcrete:
     return _read(SHIPPED / f"{name}.yaml", depth + 1)
 
 
-def known_only(section: str, values: Mapping[str, object], known: Collection[str], name: str) -> dict[str, Any]:
+def known_only(section: str, values: Mapping[str, object], known: Collection[str], name: str) -> Record:
     """Return the `values` of a section of the concrete `name` after checking that all their keys are in `known`."""
     for key in values:
         if key not in known:

@@ -304,7 +304,7 @@ class Declared:
         return "", ()
 
     @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, object]:
+    def implied(cls, values: Mapping[str, object]) -> Mapping[str, object]:
         """Return further parameters that follow from `values`; for example, a concrete determines its yield stress."""
         return {}
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Generic, ParamSpec, TypeVar
 
 from ..errors import SceneError, known_names, quoted, refuse
+from ..records import SceneArguments
 from .origin import Arguments, files_read
 from .parameters import WORDS, CompositeRule, Declared, Field, Needs, T, declared_fields
 from .text_files import errors_located_at
@@ -172,7 +173,7 @@ class SceneFunction(Generic[P, S]):
                 known |= {key: each for key, each in rule.fields(field, given.get(name)).items() if key not in known}
         return known
 
-    def with_objects(self, values: Mapping[str, object]) -> dict[str, Any]:
+    def with_objects(self, values: Mapping[str, object]) -> SceneArguments:
         """Return the parameters with an object, such as a contact law, in place of its class name and its parameters.
 
         Raises :class:`SceneError` for a parameter, such as `contact_FIELD`, that this object does not have.
@@ -207,7 +208,7 @@ class SceneFunction(Generic[P, S]):
         """
         return self.parameters(**self.with_objects(self.completed(given)))
 
-    def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
+    def completed(self, given: Mapping[str, object]) -> SceneArguments:
         """Return the parameters in `given`, by name, together with parameters that follow from them.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
@@ -224,13 +225,13 @@ class SceneFunction(Generic[P, S]):
             del implied[name]
         return merged(values, implied)
 
-    def effective_values(self, given: Mapping[str, object]) -> dict[str, Any]:
+    def effective_values(self, given: Mapping[str, object]) -> SceneArguments:
         """Return the parameters in `given` that have an effect, by name."""
         values = self.resolved(given)
         meant = self._effective({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}
 
-    def _effective(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _effective(self, values: Mapping[str, object]) -> Mapping[str, Any]:
         """Return the parameters in `values` that have an effect; this may depend on the values of other parameters."""
         known, origins = declared_fields(self.parameters), values
         composite = {name: field for name, field in known.items() if any(field.of_kind(CompositeRule))}
@@ -253,12 +254,12 @@ class SceneFunction(Generic[P, S]):
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 
-    def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
+    def resolved(self, given: Mapping[str, object]) -> SceneArguments:
         """Return the parameters in `given` with texts such as "125 mm" converted to numbers."""
         return resolved(declared_fields(self.parameters), given)
 
 
-def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
+def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> SceneArguments:
     """Return the values `given` with texts such as "125 mm" converted to numbers in the units of the fields `known`."""
     return {name: known[name].number(value, name) if name in known else value for name, value in given.items()}
 

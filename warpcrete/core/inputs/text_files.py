@@ -17,6 +17,7 @@ from typing import Any, NoReturn, cast
 
 from ..errors import LONGEST_VALUE, RunFolderError, SceneError, one_line, refuse
 from ..narrowing import is_dict
+from ..records import Record
 from .origin import note_file
 from .yaml_files import LONGEST_NUMBER, FileList, FileMapping, Unreadable, parsed_yaml
 
@@ -47,7 +48,7 @@ def errors_located_at(container: Any, key: Any) -> Generator[None]:
         raise located from error
 
 
-def _place_of(container: Any, key: Any) -> str:
+def _place_of(container: object, key: object) -> str:
     """Return the file name and, if known, the line number of an entry; empty if the file or the key is unknown."""
     files, lines = getattr(container, "files", {}), getattr(container, "lines", None)
     known = key in lines if isinstance(lines, dict) else lines is not None and 0 <= key < len(lines)
@@ -97,7 +98,7 @@ def name_of(path: Path | str) -> str:
         return name
 
 
-def read_mapping(path: Path, field: str) -> dict[str, Any]:
+def read_mapping(path: Path, field: str) -> Record:
     """Return the mapping in a YAML or JSON file.
 
     If that is impossible, raise :class:`SceneError` about the parameter `field` that named the file.
@@ -149,7 +150,7 @@ def saved_text(path: Path) -> str:
         raise _unreadable(path, error) from error
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> Record:
     """Return the object in a JSON file that the program wrote; raises :class:`RunFolderError` if that is impossible."""
     try:
         found = parsed_json(_text(path, MAXIMUM_TEXT_SIZE))

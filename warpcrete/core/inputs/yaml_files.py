@@ -48,7 +48,7 @@ class FileMapping(dict[str, Any]):
     """Files of the entries of a mapping that :func:`merged` made from several files."""
 
 
-def merged(*mappings: Mapping[str, Any]) -> FileMapping:
+def merged(*mappings: Mapping[str, object]) -> FileMapping:
     """Return the entries of all `mappings`, of which later ones take precedence, with the file and line of each entry.
 
     Entries of a mapping that was not read from a file have neither.
@@ -89,7 +89,7 @@ class UntaggedResolver(VersionedResolver):
     The parser therefore does not interpret them, and this module determines their types.
     """
 
-    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
+    def resolve(self, kind: Any, value: object, implicit: Any) -> Any:
         """Return the YAML tag, which states the type, for a node that has no tag in the file."""
         if kind is ScalarNode and implicit[0]:
             return Tag(suffix=PLAIN_TAG)

@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import warp as wp
@@ -16,6 +16,7 @@ import warp as wp
 from ..errors import RunFolderError
 from ..inputs.fingerprints import fingerprint
 from ..narrowing import is_dict, is_host_array, is_numpy_number
+from ..records import Record, SavedState
 from .files import cannot_write, partial_of
 from .provenance import processor, versions
 
@@ -84,7 +85,7 @@ def discard(path: Path) -> None:
         partial_of(path).unlink(missing_ok=True)
 
 
-def read(path: Path, scene: object, device: wp.Device, precision: str) -> dict[str, Any]:
+def read(path: Path, scene: object, device: wp.Device, precision: str) -> SavedState:
     """Return the contents of the checkpoint at `path`, which must belong to `scene` and to the installed versions.
 
     The `precision` and the kind of the device (CPU or GPU) must match, too. Raises :class:`RunFolderError` with the
@@ -171,10 +172,10 @@ def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> object:
     return value
 
 
-def _unflatten(value: Any, arrays: dict[str, np.ndarray]) -> object:
+def _unflatten(value: object, arrays: dict[str, np.ndarray]) -> object:
     if not is_dict(value):
         return value
-    stored: dict[str, Any] = value
+    stored: Record = value
     if "array" in stored:
         return arrays[stored["array"]]
     return {key: _unflatten(item, arrays) for key, item in stored["items"].items()}

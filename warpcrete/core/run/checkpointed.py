@@ -1,8 +1,8 @@
 """Part of a simulation that writes its state to checkpoints, and restores the state from them."""
 
 from pathlib import Path
-from typing import Any
 
+from ..records import SavedState
 from . import checkpoint
 from .checkpoint import RunRecord
 from .recording import Recording
@@ -43,7 +43,7 @@ class CheckpointedSimulation(SimulationBase):
         contents = self._contents(states, self.at_end)
         checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
 
-    def _contents(self, recorders: dict[str, object], over: bool) -> dict[str, Any]:
+    def _contents(self, recorders: dict[str, object], over: bool) -> SavedState:
         """Return the contents of a checkpoint: the present state and the data about the run.
 
         `recorders` holds the data of each recorder by its class name. `over` is true if the last step of the run is
@@ -70,14 +70,14 @@ class CheckpointedSimulation(SimulationBase):
         """
         self.load_state_dict(self.read_checkpoint(path))
 
-    def read_checkpoint(self, path: Path) -> dict[str, Any]:
+    def read_checkpoint(self, path: Path) -> SavedState:
         """Return the `state_dict` stored in a checkpoint, and restore the data about the run from this checkpoint.
 
         The data about the run include the wall times and the time of the next frame.
         """
         return self._restored(checkpoint.read(path, self.scene, self.device, self.precision))
 
-    def _restored(self, contents: dict[str, Any]) -> dict[str, Any]:
+    def _restored(self, contents: SavedState) -> SavedState:
         """Restore the data about the run, such as wall times, from a checkpoint's contents; return the contents."""
         run: RunRecord = contents["run"]
         self._resumed = run

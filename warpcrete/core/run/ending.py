@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from ..errors import ConvergenceError, InstabilityError, WarpcreteError, is_full, one_line
 from ..narrowing import is_dict
+from ..records import Record
 from ..units import number, quantity
 
 REASONS = {
@@ -40,12 +41,12 @@ class Ending:
     def __str__(self) -> str:
         return self.message
 
-    def entry(self) -> dict[str, Any]:
+    def entry(self) -> Record:
         """Return the entry `ended` of result.json."""
         return {"reason": self.reason, "message": self.message, "time": quantity(self.time, "s")}
 
     @classmethod
-    def of(cls, result: Mapping[str, Any]) -> Ending | None:
+    def of(cls, result: Mapping[str, object]) -> Ending | None:
         """Return the ending stored in the contents of a result.json, or None if it has no such entry."""
         entry = result.get("ended")
         if not is_dict(entry):

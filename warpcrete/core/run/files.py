@@ -7,13 +7,14 @@ import shutil
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from typing import NoReturn, cast
 
 import numpy as np
 
 from ..errors import DiskFullError, RunFolderError, is_full, quoted, refuse
 from ..inputs.text_files import read_json
 from ..narrowing import is_dict, is_list_or_tuple
+from ..records import Record
 
 PARTIAL = ".warpcrete-partial-"
 """Prefix of the name of a file that is not complete yet; no other program uses this prefix."""
@@ -109,7 +110,7 @@ NEVER_NULL = {"scene.json": {"threads"}, "trade.json": {"device", "threads"}}
 program always fills in these entries when it writes the file."""
 
 
-def read_record(path: Path) -> dict[str, Any]:
+def read_record(path: Path) -> Record:
     """Return the record of a run, study or calibration from its JSON file.
 
     Raises :class:`RunFolderError` if the file cannot be read or an entry has the wrong type.

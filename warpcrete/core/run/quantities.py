@@ -82,7 +82,7 @@ class Quantities(dict[str, float]):
     """Quantities of a run by name: an :class:`Amount` if the quantity has a unit, otherwise a plain number."""
 
     @classmethod
-    def of(cls, result: Mapping[str, Any]) -> Quantities:
+    def of(cls, result: Mapping[str, object]) -> Quantities:
         """Return the quantities in the contents of a result.json."""
         found = cls()
         for name, entry in result.items():
@@ -113,7 +113,7 @@ class Result(dict[str, Any]):
         return "\n".join(f"{name:<{width}}  {text}" for name, text in texts) or "no results"
 
 
-def _entry_texts(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+def _entry_texts(entries: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the name and the value of each entry as texts; an entry of a nested dictionary has a name such as "a.b"."""
     for name, entry in entries.items():
         if not is_dict(entry):

@@ -1,7 +1,8 @@
 """Base class of recorders, which write the output of a run to files or to a viewer."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
+from ..records import SavedState
 from .run import Run
 from .simulation_base import SimulationBase
 
@@ -26,7 +27,7 @@ class Recorder:
     def start(self, simulation: SimulationBase) -> None:
         """Prepare to record a run that is about to begin."""
 
-    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: SavedState) -> None:
         """Prepare to record a run that goes on from a checkpoint; called instead of `start`.
 
         `state` is what the method `checkpoint` returned for this checkpoint. Everything that was recorded after the
@@ -40,7 +41,7 @@ class Recorder:
     def frame(self, simulation: SimulationBase) -> None:
         """Record a frame, which is a picture of the state at this time."""
 
-    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> SavedState:
         """Return the data that the method `resume` needs to go on recording from this time.
 
         The run stores this data in its checkpoint and then calls `write`. The checkpoint replaces the previous

@@ -20,6 +20,7 @@ from ..drawing.style import SERIES, legend_above, new_figure, open_frame, rgb
 from ..errors import RunFolderError, WarpcreteError, flag, one_of, refuse, with_suggestions
 from ..inputs.origin import readable
 from ..narrowing import is_dict
+from ..records import Record
 from ..units import shown
 from .columns import Columns
 from .ending import Ending
@@ -47,7 +48,7 @@ class FinalState:
     """Class of the simulation that computed this final state."""
     settings: Mapping[str, Any]
     """Keyword arguments of the simulation, such as its device and precision."""
-    contents: dict[str, Any] = field(repr=False)
+    contents: Record = field(repr=False)
     """Contents of a checkpoint of the state, with arrays in host memory."""
 
 
@@ -61,7 +62,7 @@ class Run:
     first, last, smallest and largest value of each column."""
     units: dict[str, str]
     """Unit of each column of the time series, by the column's name."""
-    result: dict[str, Any]
+    result: Record
     """Quantities of the whole run: `{"value", "unit"}` if a quantity has a unit, otherwise a plain number."""
     finished: bool
     """True if the run reached its end and all its files were written."""

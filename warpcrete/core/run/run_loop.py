@@ -16,6 +16,7 @@ from ..device.device import checked_threads, find_device, scalar_of
 from ..device.interrupts import terminate_as_interrupt
 from ..device.launching import report_compiling
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, callback, is_full, positive, refuse
+from ..records import Record
 from ..units import number as number_of
 from . import checkpoint
 from .checkpointed import CheckpointedSimulation
@@ -196,7 +197,7 @@ class Simulation(CheckpointedSimulation):
                 text += f"; run the same lines again to go on from the checkpoint at t = {self._checkpoint_time:.3f} s"
         print(text, file=sys.stderr, flush=True)
 
-    def write_run(self, run: Run, contents: dict[str, Any]) -> None:
+    def write_run(self, run: Run, contents: Record) -> None:
         """Write the run folder of the `run`, which has ended already, without simulating the scene again.
 
         `contents` holds the data of a checkpoint of the run's final state. Recordings have all rows of the time series,

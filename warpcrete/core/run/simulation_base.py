@@ -12,6 +12,7 @@ from ..device.simulation_protocol import SimulationOnDevice
 from ..drawing.display import Display
 from ..errors import refuse, refuse_unknown_settings
 from ..inputs.scene_functions import SceneFunction
+from ..records import SavedState
 from .coroutines import Coroutine, Until
 from .ending import Ending
 from .frames import Frames
@@ -120,11 +121,11 @@ class SimulationBase(SimulationOnDevice):
         """
 
     @abstractmethod
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return the state of the simulation for a checkpoint; :meth:`save` adds the data about the run."""
 
     @abstractmethod
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: SavedState) -> None:
         """Restore the state from a `state_dict`; called instead of `prepare`."""
 
     @abstractmethod

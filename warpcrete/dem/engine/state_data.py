@@ -1,11 +1,11 @@
 """Conversion of a state (all data of a scene that change during a run) to and from checkpoints, and its hash."""
 
 import hashlib
-from typing import Any
 
 import numpy as np
 
 from ...core.device.arrays import DeviceArray, host_copy, zeros
+from ...core.records import Record, SavedState
 from ..scene.bodies import BodyTable, placed_bodies
 from .bonding import bond_kinds, bond_rows
 from .model import Model
@@ -19,13 +19,13 @@ Checkpoints need not store these arrays.
 """
 
 
-def state_dict(state: State) -> dict[str, Any]:
+def state_dict(state: State) -> SavedState:
     """Return all data of a state that the next step depends on.
 
     They are the arrays by struct and name, the control flags, and the attributes listed in NUMBERS.
     """
     numbers = {name: getattr(state, name) for name in NUMBERS}
-    stored: dict[str, Any] = {"numbers": numbers, "flags": host_copy(state.flags)}
+    stored: SavedState = {"numbers": numbers, "flags": host_copy(state.flags)}
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
             listed = struct == "pairs" and name in pair_bytes(state.model)
@@ -34,7 +34,7 @@ def state_dict(state: State) -> dict[str, Any]:
     return stored
 
 
-def restore_state(model: Model, stored: dict[str, Any]) -> State:
+def restore_state(model: Model, stored: Record) -> State:
     """Create a state from the data `stored`, which :func:`state_dict` has returned."""
     scene = model.scene
     table = BodyTable.empty()

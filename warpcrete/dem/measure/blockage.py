@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.records import SavedState
 from ...geometry.meshes import rays
 from ...geometry.walls import MeshWall, PipeWall
 from ..engine.model import Model
@@ -73,7 +74,7 @@ class BlockageWatch:
         self._numbers: np.ndarray | None = None
         self._volume = np.zeros(0)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return the recorded blockage and everything that the next check depends on, for a checkpoint."""
         return {
             "found": dict(self.found),
@@ -84,7 +85,7 @@ class BlockageWatch:
             "slowest": self.slowest,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: SavedState) -> None:
         """Restore the recorded blockage and the data for the next check from a `state_dict`."""
         self.found, self._places = dict(state["found"]), np.array(state["places"])
         self.slowest = float(state["slowest"])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import Kernel
 from ...core.device.exchange import LaunchAndRead
 from ...core.device.graphs import Call, GraphLaunch
 from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, completed
@@ -195,7 +196,7 @@ def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, max
     ]
 
 
-def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
+def scene_stage(state: State, kernel: Kernel, dim: Size, **named: object) -> Stage:
     """Return a launch of `kernel` with `dim` tasks (threads) for the scene to which `state` belongs.
 
     `named` contains arguments of the kernel by name. All other parameters receive the batch's arrays of the same name,

@@ -1,10 +1,10 @@
 """Time series of a discrete element run: the columns, their units, and the measurement of each row."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from ...core.records import SavedState
 from ...geometry.rotation import rotate
 from ...geometry.walls import Wall
 from ...kernels.dem.probes import FORCE, IMPULSE, TRAVEL, TURN, WORK
@@ -96,7 +96,7 @@ class Sampler:
         self.wear = WearMap(model.walls, wear) if model.features.wear and wear is not None else None
         """Wear of the walls up to the last row of the time series; None if the scene does not request it."""
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return all rows of the time series so far and everything on which the next row depends, for a checkpoint."""
         return {
             "columns": list(self.rows[0]) if self.rows else [],
@@ -110,7 +110,7 @@ class Sampler:
             **({} if self.log is None else {"stations": np.array(self.log.samples)}),
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: SavedState) -> None:
         """Restore the sampler from a `state_dict`: the rows of the time series and the data that the next row needs."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]

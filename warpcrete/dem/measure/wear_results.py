@@ -1,7 +1,9 @@
 """Results and figures of the wear of walls."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -9,6 +11,9 @@ from ...core.drawing.style import RUN, SECOND, THIRD, legend_above, new_figure, 
 from ...core.run.method import Quantity
 from ...core.units import number
 from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WearMap, WornWall
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class WornRun(Protocol):
@@ -151,7 +156,7 @@ def report(run: WornRun) -> Iterator[tuple[str, str]]:
     )
 
 
-def plot_wear(run: WornRun, wall: WornWall | None = None) -> Any:
+def plot_wear(run: WornRun, wall: WornWall | None = None) -> Figure | None:
     """Return a figure of the worn depth of a pipe per hour [um/h].
 
     The upper panel shows the depth over arc length and angle. The lower panel shows means of the depth along the pipe.

@@ -5,11 +5,12 @@ The first line of each class is the heading of its group in the command's help.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from ...core.device.device import PRECISIONS
 from ...core.inputs.concretes import is_file, shipped
 from ...core.inputs.parameters import Above, Declared, FileIf, Needs, OneOf, Suggests, Within
+from ...core.records import SceneArguments
 from ..laws import OWN_LAW, OWN_WALL_LAW
 from ..laws.linear import DASHPOTS
 from ..scene.clumps import TEMPLATE_SETS
@@ -361,7 +362,7 @@ class RunParameters(Declared):
     seed: Seed = 0
 
 
-def index_settings(given: IndexParameters) -> dict[str, Any]:
+def index_settings(given: IndexParameters) -> SceneArguments:
     """Return the fields of a :class:`Scene` that configure wear, blockage and segregation measurements."""
     wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
     return {

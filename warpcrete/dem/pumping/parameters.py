@@ -51,7 +51,7 @@ class ConcreteDefaults:
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
     @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    def implied(cls, values: Mapping[str, object]) -> Mapping[str, Any]:
         """Return parameters of the concrete that the user's parameters `values` state by name or by file."""
         return elements_of(values, cls.of_concrete()[1], ConcreteChoice.concrete)
 

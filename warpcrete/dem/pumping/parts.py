@@ -44,7 +44,7 @@ UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "be
 ALONE = Needs("line", lambda line: line is None, "is left out")
 
 
-def _is_given(value: Any) -> bool:
+def _is_given(value: object) -> bool:
     return value is not None
 
 
@@ -139,7 +139,7 @@ class PartElements(
     modulus: Annotated[float, "Effective modulus of contacts [Pa]", Above(), OWN_LAW] = 5e5
 
     @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    def implied(cls, values: Mapping[str, object]) -> Mapping[str, Any]:
         """Return parameters, by name, from the files of a line, of a mesh and of a concrete in `values`."""
         said = {**parameters_from_line(values), **parameters_from_mesh(values, WAYS[:1])}
         return {**said, **super().implied({**said, **values})}

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from ...core.errors import refuse
 from ...core.inputs.parameters import Above, Declared, Needs, OneOf, Within
+from ...core.records import SceneArguments
 from ...geometry.prisms import Solid
 from ...standards import StandardTest
 from ...theory.pipe import Concrete
@@ -301,7 +302,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         middle, half = 0.5 * (self.size_min + self.size_max), 0.5 * (self.size_max - self.size_min)
         return Gaussian(middle, max(half, 1e-6 * middle), self.size_min, self.size_max)
 
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> SceneArguments:
         """Return arguments of a scene: duration, contact laws, bonds, gravity, settling, time step and output."""
         return {
             "duration": self.duration,

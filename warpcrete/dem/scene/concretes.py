@@ -2,12 +2,12 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from ...core.errors import refuse
 from ...core.inputs.concretes import NamedConcrete, known_only
 from ...core.inputs.limits import warn
 from ...core.inputs.yaml_files import merged
+from ...core.records import Record, SceneArguments
 from ...mix.mix import FACTORS, completed, flow_amounts
 
 SIZES = ("sizes", "size_min", "size_max")
@@ -23,7 +23,7 @@ ratio is only 0.02.
 """
 
 
-def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -> dict[str, Any]:
+def elements_of(values: Mapping[str, object], known: Sequence[str], default: str) -> SceneArguments:
     """Return the parameters of discrete elements that follow from the concrete in the scene's parameters `values`.
 
     `known` lists the parameters that a concrete may set; `default` is the name used if `values` has no concrete. If
@@ -53,7 +53,7 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     return known_only("elements", section, known, name)
 
 
-def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
+def _of_flow(found: NamedConcrete, layer_given: bool = False) -> Record:
     """Return bulk density and slip layer of the concrete `found`, of which only flow properties are known.
 
     The walls then have no friction and resist only by the slip layer. Parameters that are not returned keep the values

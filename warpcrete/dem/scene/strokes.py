@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from ...core.records import Record
 from ...core.units import quantity
 from ...geometry.walls import Stops
 from .scene import PipeUnit
@@ -72,9 +72,9 @@ def held(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]
     ]
 
 
-def stroke_table(pipe: PipeUnit, series: Mapping[str, np.ndarray]) -> dict[str, dict[str, Any]]:
+def stroke_table(pipe: PipeUnit, series: Mapping[str, np.ndarray]) -> dict[str, Record]:
     """Return, by stroke number, the peak pressure of each stroke and the mean pressure in the pause after it."""
-    table: dict[str, dict[str, Any]] = {}
+    table: dict[str, Record] = {}
     tops, holds = peaks(pipe, series), held(pipe, series)
     for number, top in enumerate(tops):
         table[str(number + 1)] = {"peak_pressure": quantity(top, "Pa")}

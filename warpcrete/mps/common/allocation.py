@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 
-def allocate(struct: Any, device: Any, into: Any = None, **values: Any) -> Any:
+def allocate(struct: Any, device: wp.Device | str | None, into: object = None, **values: object) -> Any:
     """Fill members of a kernel struct with new device arrays, and return the struct.
 
     The struct is `into`, or a new instance of `struct` if `into` is None. Each keyword argument names a member. Its

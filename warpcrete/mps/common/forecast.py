@@ -104,7 +104,7 @@ def flow_forecast(
     return found
 
 
-def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
+def coarser_run(simulation: FlowRun, unmet: str, **changes: object) -> tuple[Run | None, float, list[str]]:
     """Run a coarser copy of a flow; return its run, the expected simulated time [s], and a list of remarks.
 
     The copy's scene equals the scene of the flow except for the attributes in `changes`. The expected simulated time is

@@ -122,7 +122,7 @@ class ConcreteParameters:
         return "flow", CONSTANTS
 
     @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    def implied(cls, values: Mapping[str, object]) -> Mapping[str, Any]:
         """Return the constants in the concrete file that the parameters `values` name, for the record of a run.
 
         The record then stays correct if the file changes later.
@@ -168,7 +168,7 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
     return scaled(Concrete(name=name_of(name), **known), *factors)
 
 
-def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
+def _is_complete(name: str, given: Mapping[str, object]) -> bool:
     """Return whether the constants in `given` describe the concrete, so that `name` need not be looked up.
 
     `given` maps names of constants to values. It must contain all constants in `CONSTANTS`. If `name` is the path of a
@@ -187,7 +187,7 @@ def flowing() -> tuple[str, ...]:
     return tuple(name for name in shipped() if completed(name).flow)
 
 
-def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
+def file_constants(values: Mapping[str, object]) -> dict[str, float]:
     """Return the constants in the file of the concrete that a scene's parameters name.
 
     The result is empty if the concrete is not described by a file, or if the parameters already state all constants. If
@@ -200,7 +200,7 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
     return merged(LAW_DEFAULTS, FACTORS, _flow_of(name))
 
 
-def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
+def file_aggregates(values: Mapping[str, object]) -> dict[str, float]:
     """Return the aggregate's parameters from the concrete file that a scene's parameters name.
 
     These are the volume fraction and density of the coarse aggregate, and the constants of the mortar. The result is

@@ -11,6 +11,7 @@ import numpy as np
 from ...core.device.footprint import footprint
 from ...core.drawing.display import Display
 from ...core.errors import InstabilityError
+from ...core.records import Record, SavedState
 from ...core.run.provenance import arrays_hash, provenance
 from ...core.run.run import Run
 from ...core.run.run_loop import Simulation
@@ -59,11 +60,11 @@ class FlowRun(Simulation):
         """Measure the flow and return the values of one row of the time series, by column name."""
 
     @abstractmethod
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Record:
         """Return sizes of the model, such as the particle spacing, for the run's result."""
 
     @abstractmethod
-    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return entries and tables for the run's result, computed from a time series with at least two rows."""
 
     @property
@@ -112,7 +113,7 @@ class FlowRun(Simulation):
         self._rows.append(row)
         return row
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return the state of the flow and the rows of the time series so far."""
         return {
             "flow": self.flow.state_dict(),
@@ -120,7 +121,7 @@ class FlowRun(Simulation):
             "rows": np.array([list(row.values()) for row in self._rows]),
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: SavedState) -> None:
         """Restore a run from a `state_dict`; this replaces the call of `prepare`."""
         spent = dict(self.wall_times.phases)
         self.prepare()
@@ -143,7 +144,7 @@ class FlowRun(Simulation):
         `finished` is stored in the results; it is False if the run was interrupted.
         """
         scene, flow, series = self.scene, self.flow, self.series()
-        result: dict[str, Any] = {
+        result: Record = {
             "scene": scene.name,
             "method": self.method,
             "finished": finished,
@@ -161,7 +162,7 @@ class FlowRun(Simulation):
         result["provenance"] = provenance(self.device, self.precision, scene.seed, self.threads)
         return Run(scene, series, {name: self.unit(name) for name in series}, result, finished, tables=tables)
 
-    def speed(self) -> dict[str, Any]:
+    def speed(self) -> Record:
         """Return wall times, step rates and memory of the run for its result."""
         flow, running = self.flow, self.wall_times.phases.get("running", 0.0)
         return {

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import Kernel
 from ...core.device.device import parallel
-from ...core.device.launching import Launcher, Size, Stage, Step, completed, graph_sizes, report_compiling
+from ...core.device.launching import Arguments, Launcher, Size, Stage, Step, completed, graph_sizes, report_compiling
 from ...core.errors import CapacityError, ConvergenceError, InstabilityError
 from ...core.run.coroutines import Coroutine
 from ...core.run.method import Progress, run_in_turn
@@ -74,7 +75,7 @@ class Stepping(ABC):
     def solves(self) -> dict[int, Any]:
         """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
 
-    def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
+    def stage(self, kernel: Kernel, dim: Size, *, block: int | None = None, **named: object) -> Stage:
         """Return a part of a time step (stage) that launches `kernel`.
 
         The kernel receives the arguments in `named`. All its other parameters receive the flow's arrays of the same
@@ -84,7 +85,7 @@ class Stepping(ABC):
 
     @property
     @abstractmethod
-    def _kernel_arrays(self) -> dict[str, Any]:
+    def _kernel_arrays(self) -> Arguments:
         """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
 
     def _single_thread_step(self) -> Step:
@@ -292,7 +293,7 @@ def run_abreast(
     return [run.outcome for run in runs if run.outcome is not None]
 
 
-def _run_together(runs: list[_Run], device: Any, progress: Progress) -> None:
+def _run_together(runs: list[_Run], device: wp.Device, progress: Progress) -> None:
     left, under_way, full = list(runs), [], False
     abreast = min(len(runs), MAX_CONCURRENT_FLOWS)
     while left or under_way:

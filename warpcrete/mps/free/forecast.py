@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from ...core.run.forecast import Forecast, Probe, median_time
 from ...core.run.run import Run
@@ -35,7 +36,7 @@ vessel. The diameter of bars does not count as such a dimension."""
 
 
 def forecast(
-    scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation,
+    scene: FreeScene, device: wp.Device, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation,
     features_of: Callable[[Any], Mapping[str, str]] = lambda simulation: {},
 ) -> Forecast:  # fmt: skip
     """Return the forecast of the run time and memory of a run on a Warp `device`.

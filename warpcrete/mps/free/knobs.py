@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 from ...core.inputs.knobs import Knob, precisions, scaled
+from ...core.records import SceneArguments
 from .scene import FreeConcrete
 
 
@@ -29,7 +29,7 @@ def free_knobs(
     yield precisions()
 
 
-def free_variants(given: FreeConcrete) -> dict[str, dict[str, Any]]:
+def free_variants(given: FreeConcrete) -> dict[str, SceneArguments]:
     """Return variants of a flow with half and twice the yield stress or viscosity, as changes of its parameters."""
     found = {}
     for name, words in (("yield_stress", "yield stress"), ("viscosity", "viscosity")):

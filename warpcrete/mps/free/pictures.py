@@ -1,8 +1,10 @@
 """Matplotlib figures of free-surface flows."""
 
+from __future__ import annotations
+
 import textwrap
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +14,14 @@ from ...core.units import number, shown
 from ...theory.vessels import heap_depth
 from .scene import FreeScene
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 LENGTHS = "position or depth"
 """Label of the vertical axis of a plot with more than two curves, all of which show lengths."""
 
 
-def plot_free(run: Run) -> Any:
+def plot_free(run: Run) -> Figure:
     """Return a figure of the final shape with the mould's outline, and of spread and height over time."""
     scene = run.scene
     figure = new_figure(scene.caption, 3.0, 2.7)

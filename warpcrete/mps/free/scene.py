@@ -12,6 +12,7 @@ from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.errors import at_most, between, one_of, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
+from ...core.records import SceneArguments
 from ...geometry.walls import Wall
 from ...standards import StandardTest
 from ...theory.pipe import Concrete
@@ -227,6 +228,6 @@ class FreeConcrete(ConcreteParameters, FreeSettings):
                 "leave out 'slip_thickness'; 'slip_viscosity' and 'slip_yield' describe the slip layer",
             )
 
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> SceneArguments:
         """Return the values of all members of :class:`FreeSettings` by name; they control the simulation of a scene."""
         return {f.name: getattr(self, f.name) for f in fields(FreeSettings)}

@@ -4,11 +4,11 @@ The module `core/run/run_loop.py` contains the loop common to all runs.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
 from ...core.errors import InstabilityError
+from ...core.records import Record
 from ...core.run.method import results_of
 from ...core.run.tables import Table
 from ...core.units import quantity
@@ -85,7 +85,7 @@ class FreeSimulation(FlowRun):
             return "rest", f"the concrete came to rest at t = {time:.4g} s"
         return super().why_ended()
 
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Record:
         """Return sizes of the model, such as the number of cells, for the run's result."""
         scene, layout = self.scene, self.flow.state.layout
         volume = whole_volume(scene, self.volume)
@@ -95,7 +95,7 @@ class FreeSimulation(FlowRun):
             "volume": quantity(volume, "m3" if scene.axial or scene.depth else "m2"),
         }
 
-    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return entries for the run's result, computed from the time series and the surface; there are no tables."""
         result = results_of(quantities(), RunData(self.scene, series, self.volume))
         across, height = surface(self.flow)

@@ -19,7 +19,8 @@ import numpy as np
 import warp as wp
 
 from ...core.device.device import default_threads, parallel
-from ...core.device.launching import Launcher, Step, launch
+from ...core.device.launching import Arguments, Launcher, Step, launch
+from ...core.records import SavedState
 from ...kernels.common.control import HALTED
 from ...kernels.mps.grid.cells import NOW, WANTED
 from ...kernels.mps.grid.pace import Pace, clock_kernels
@@ -219,7 +220,7 @@ class GridFlow(Stepping):
         return [GridStep(self, range(self.threads)).stages()]
 
     @property
-    def _kernel_arrays(self) -> dict[str, Any]:
+    def _kernel_arrays(self) -> Arguments:
         return {
             "flags": self.flags,
             "particles": self.particles,
@@ -270,11 +271,11 @@ class GridFlow(Stepping):
         """Return the arrays that the next step depends on."""
         return self.state.state_dict()
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return the arrays and numbers that a checkpoint needs to continue the flow at the next step."""
         return {"arrays": self.state_arrays(), "numbers": {"steps": self.steps}}
 
-    def load_state_dict(self, found: dict[str, Any]) -> None:
+    def load_state_dict(self, found: SavedState) -> None:
         """Restore the flow from a `state_dict`."""
         self.state.load_state_dict(found["arrays"])
         self.steps = int(found["numbers"]["steps"])

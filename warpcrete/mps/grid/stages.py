@@ -11,6 +11,7 @@ from typing import Any
 
 import warp as wp
 
+from ...core.device.arrays import Kernel
 from ...core.device.launching import Stage, parameter_names
 from ...core.device.scan import scan_stages
 from ...kernels.common.reductions import BLOCK
@@ -53,7 +54,7 @@ class GridStep:
         self.kind = self.layout.kind
         self.barrier = flow.barrier() if len(parts) < flow.threads else []
 
-    def stages(self) -> list[Any]:
+    def stages(self) -> list[Stage]:
         """Return all stages of a time step in their order."""
         flow, layout, kind, scalar = self.flow, self.layout, self.kind, self.scalar
         serial = not flow.parallel
@@ -81,7 +82,7 @@ class GridStep:
             *self._alone(flow.clock_kernels.tick, 1),
         ]
 
-    def gather(self) -> list[Any]:
+    def gather(self) -> list[Stage]:
         """Return the stages that sort particles into cells and transfer their mass and velocity to the grid."""
         flow, kind, scalar, serial = self.flow, self.kind, self.scalar, not self.flow.parallel
         bins = bin_kernels(scalar, serial, kind)
@@ -100,7 +101,7 @@ class GridStep:
 
     # The following methods make stages from a kernel.
 
-    def _shared(self, kernel: Any, count: int, **named: Any) -> list[Stage]:
+    def _shared(self, kernel: Kernel, count: int, **named: object) -> list[Stage]:
         """Return stages in which the threads share the `count` items of a kernel, and then wait for one another."""
         found, threads = [], self.flow.threads
         for part in self.parts:
@@ -112,10 +113,10 @@ class GridStep:
             found.append(self.flow.stage(kernel, tasks, worker=part, workers=threads, **named))
         return [*found, *self.barrier]
 
-    def _cells(self, kernel: Any, **named: Any) -> list[Stage]:
+    def _cells(self, kernel: Kernel, **named: object) -> list[Stage]:
         return self._shared(kernel, self.slots, **named)
 
-    def _alone(self, kernel: Any, tasks: int, **named: Any) -> list[Stage]:
+    def _alone(self, kernel: Kernel, tasks: int, **named: object) -> list[Stage]:
         """Return stages in which only the first thread runs a kernel while all other threads wait."""
         return [*([self.flow.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier]
 
@@ -148,7 +149,7 @@ class GridStep:
             )  # fmt: skip
         return found
 
-    def _disperse(self) -> list[Any]:
+    def _disperse(self) -> list[Stage]:
         """Return stages that move particles out of crowded regions.
 
         A linear system with the matrix of the pressure system gives a potential; the displacements are along its
@@ -200,7 +201,7 @@ class GridStep:
             found += scan_stages(matrix.free, matrix.before)
         return [*found, *self._alone(kernels.list_rows, system.first[-1] if self.flow.parallel else 1, matrix=matrix)]
 
-    def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
+    def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Stage]:
         """Return the stage that solves a system by conjugate gradients and adds the solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below the norm

@@ -200,7 +200,7 @@ class GridState:
         self.flags.assign(found["flags"])
 
 
-def check_memory(cells: tuple[int, ...], device: Any, precision: str, more: int = 0) -> None:
+def check_memory(cells: tuple[int, ...], device: wp.Device, precision: str, more: int = 0) -> None:
     """Raise :class:`CapacityError` if a grid does not fit in the free memory of a device.
 
     `cells` is the number of cells along each axis. `more` is memory per cell that the flow needs in addition, for

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import Scalar
 from ...core.device.device import parallel
 from ...kernels.common.reductions import BLOCK
 from ...kernels.mps.conjugate_gradient import OUTCOME
@@ -57,7 +58,7 @@ class System:
     """Working arrays of the conjugate-gradient solve, such as residuals and search directions, in a struct `Solve`."""
 
 
-def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: int, near: int) -> System:
+def system_of(scalar: Scalar, device: wp.Device, shape: tuple[int, ...], copies: int, near: int) -> System:
     """Return a linear system for a grid, with the levels of its preconditioner.
 
     `shape` is the number of cells along each axis, last axis first, including the cells around the grid. There are
@@ -83,7 +84,7 @@ NUMBERS = ("near_capacity", "rows", "levels", "children")
 """Members of the struct `Matrix` that are single numbers, not arrays."""
 
 
-def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
+def solve_arrays(scalar: Scalar, device: wp.Device, finest: int, rows: int) -> Any:
     """Return the working arrays of a solve with `finest` rows on the finest multigrid level and `rows` rows in all."""
     wide = parallel(device)
     sizes = {

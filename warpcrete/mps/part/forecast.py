@@ -4,7 +4,7 @@ The time until the flow is steady is predicted by a run of the same flow on a co
 measured in the first steps of the flow itself.
 """
 
-from typing import Any
+import warp as wp
 
 from ...core.run.forecast import Forecast, Probe
 from ..common.forecast import Course, coarser_run, flow_forecast, law_features
@@ -12,7 +12,7 @@ from .scene import MIN_ACROSS, PartScene
 from .simulation import PartSimulation
 
 
-def forecast(scene: PartScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+def forecast(scene: PartScene, device: wp.Device, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Return the forecast of the run time and memory of a run on a Warp `device`.
 
     The function `probe` measures the wall time of recording one frame.

@@ -1,7 +1,9 @@
 """Matplotlib figures of flows through parts of a pump line."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,8 +11,11 @@ from ...core.drawing.style import BEND, NOT_STRAIGHT, RUN, THEORY, legend_above,
 from ...core.run.run import Run
 from .scene import PartScene
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def plot_part(run: Run) -> Any:
+
+def plot_part(run: Run) -> Figure:
     """Return a figure of the frictional pressure along the part of the pump line, and of the pressure over time.
 
     The frictional pressure at an arc length is the loss from this arc length to the end of the part. The theoretical

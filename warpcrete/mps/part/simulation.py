@@ -4,10 +4,10 @@ The module `core/run/run_loop.py` contains the loop common to all runs.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
+from ...core.records import Record
 from ...core.run.method import results_of
 from ...core.run.tables import Table
 from ...core.units import quantity
@@ -64,7 +64,7 @@ class PartSimulation(FlowRun):
         self.steady = abs(now - before) < least and abs(before - long_before) < least
         return self.steady
 
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Record:
         """Return the number of cells and other sizes of this run, for its results."""
         scene, layout = self.scene, self.flow.state.layout
         return {
@@ -79,7 +79,7 @@ class PartSimulation(FlowRun):
         """Return arc lengths [m] and the frictional loss from each arc length to the end [Pa], for the run's result."""
         return friction_ahead(self.flow)
 
-    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return the entries of the result, and a table of the pressure along the part of the pump line.
 
         The entries follow from the time series and from the current pressure along the part.

@@ -19,8 +19,10 @@ from ...core.device.device import find_device
 from ...core.errors import RunFolderError, WarpcreteError, callback, refuse, refuse_unknown_settings, whole
 from ...core.extras import needs_extra
 from ...core.inputs.origin import check_files, files_read
+from ...core.records import Record
 from ...core.run.files import check_new, output_folder, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
+from ...core.run.scene_module import SceneModule
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ..cases import MAX_CASES, Case
@@ -50,7 +52,7 @@ end."""
 
 
 def calibrate(
-    targets: Path | str | Mapping[str, Any], *, out: Path | str | None = None, **settings: Any
+    targets: Path | str | Mapping[str, Any], *, out: Path | str | None = None, **settings: object
 ) -> Calibration:
     """Find the parameters of a concrete that reproduce `targets`, a file of targets or its contents as a mapping.
 
@@ -66,7 +68,7 @@ def calibrate(
 
 def run_calibration(
     targets: Path | Mapping[str, Any],
-    modules: Mapping[str, Any],
+    modules: Mapping[str, SceneModule],
     *,
     out: Path,
     trials: int | None = None,
@@ -119,7 +121,7 @@ def run_calibration(
 
 def resume_calibration(
     folder: Path,
-    modules: Mapping[str, Any],
+    modules: Mapping[str, SceneModule],
     *,
     trials: int | None = None,
     processes: int | None = None,
@@ -147,7 +149,7 @@ def _check_trial_count(most: int) -> None:
     whole("trials", most, 4, MAX_CASES)
 
 
-def _record(folder: Path) -> dict[str, Any]:
+def _record(folder: Path) -> Record:
     record = read_record(folder / RECORD)
     if set(record) - {"files"} != {"targets", "settings", "rounds"}:
         raise RunFolderError(
@@ -159,7 +161,7 @@ def _record(folder: Path) -> dict[str, Any]:
 
 def _continue(
     folder: Path,
-    modules: Mapping[str, Any],
+    modules: Mapping[str, SceneModule],
     processes: int | None,
     scheduler: str | None,
     workers: int | None,
@@ -185,7 +187,9 @@ def _continue(
     return calibration
 
 
-def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
+def _search(
+    calibration: Calibration, modules: Mapping[str, SceneModule], where: Mapping[str, object], tell: Progress
+) -> None:
     """Run rounds of simulations, followed by verification runs of the likeliest parameters.
 
     The rounds end when the posterior has converged (:attr:`Calibration.settled`), or when the maximum number of trials
@@ -229,9 +233,14 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
 
 
 def run_round(
-    calibration: Calibration, modules: Mapping[str, Any], place: int, trials: Sequence[Trial], where: Mapping[str, Any],
-    tell: Progress, part: tuple[float, float],
-) -> bool:  # fmt: skip
+    calibration: Calibration,
+    modules: Mapping[str, SceneModule],
+    place: int,
+    trials: Sequence[Trial],
+    where: Mapping[str, object],
+    tell: Progress,
+    part: tuple[float, float],
+) -> bool:
     """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
     `place` is the index of the round, `where` holds the settings `processes`, `scheduler` and `workers`, and `tell` is
@@ -263,7 +272,7 @@ def _progress_within(tell: Progress, part: tuple[float, float], group: int, task
     """
     groups = len(task.groups)
 
-    def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def report_progress(phase: str, fraction: float, figures: dict[str, float]) -> None:
         tell("running" if phase == "running" else phase, part[0] + part[1] * (group + fraction) / groups, figures)
 
     return report_progress
@@ -377,7 +386,7 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
             )
     before = calibration.posterior
     doubtful = _doubtful(calibration, searched)
-    learned: dict[str, Any] = {}
+    learned: Record = {}
     if calibration.coarse:
         coarsened = [target for target in values if target.key in calibration.coarsened]
         doubts = _doubtful(calibration, calibration.coarse)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.html import html_table
+from ...core.records import Record
 from .posterior import Posterior, confounded_pairs, insensitive_targets
 from .targets import Target, Task
 
@@ -45,7 +46,7 @@ class Calibration:
 
     folder: Path
     task: Task
-    record: dict[str, Any]
+    record: Record
     trials: list[Trial] = field(default_factory=list)
     posterior: Posterior | None = None
     coarsened: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Any])

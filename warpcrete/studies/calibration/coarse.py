@@ -1,9 +1,10 @@
 """Coarse runs of a calibration: simulations with wide cells, which train the emulators at a small part of the cost."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from ...core.errors import SceneError
+from ...core.records import SceneArguments
+from ...core.run.scene_module import SceneModule
 from ..cases import is_random
 from .targets import Target, Task
 
@@ -16,7 +17,7 @@ concretes apart: with 2.7 times the default width, slump tests with spreads of 5
 576, 573 and 585 mm."""
 
 
-def coarse_changes(task: Task, modules: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def coarse_changes(task: Task, modules: Mapping[str, SceneModule]) -> dict[str, SceneArguments]:
     """Return the parameters that are changed in coarse runs, by the key of each group of targets that has coarse runs.
 
     Only standard tests that are simulated as flows on a grid have coarse runs, because other scenes of a calibration
@@ -34,7 +35,7 @@ def coarse_changes(task: Task, modules: Mapping[str, Any]) -> dict[str, dict[str
     return found
 
 
-def _changes(task: Task, target: Target, modules: Mapping[str, Any]) -> dict[str, Any]:
+def _changes(task: Task, target: Target, modules: Mapping[str, SceneModule]) -> SceneArguments:
     """Return the changed parameters of the coarse runs of a target's scene; empty if it has no coarse runs."""
     module = modules[target.scene]
     if any(free.name == "spacing" for free in task.free):

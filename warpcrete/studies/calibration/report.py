@@ -1,23 +1,30 @@
 """Output files of a calibration: tables, a figure, and the calibrated concrete."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...core.drawing.style import RUN, SECOND, WIDTH, legend_above, new_figure, rgb
 from ...core.inputs.parameters import Field, declared_fields
 from ...core.inputs.yaml_files import yaml_text
+from ...core.records import Record
 from ...core.run.files import atomic_file, write_json
+from ...core.run.scene_module import SceneModule
 from .calibration import Calibration
 from .posterior import confounded_pairs
 from .targets import Target
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SMOOTH = 60
 """Number of bins in a histogram of the posterior. It is so large that the histogram looks like a smooth curve."""
 
 
-def write(found: Calibration, modules: Mapping[str, Any]) -> None:
+def write(found: Calibration, modules: Mapping[str, SceneModule]) -> None:
     """Write calibration.md and, if a posterior exists, calibration.png, answer.json and concrete.yaml."""
     with atomic_file(found.folder / "calibration.md") as partial:
         partial.write_text(report(found) + "\n", encoding="utf-8")
@@ -94,7 +101,7 @@ def _shown(target: Target, deviation: float) -> str:
     return target.words(deviation).partition(" ")[0]
 
 
-def answer(found: Calibration) -> dict[str, Any]:
+def answer(found: Calibration) -> Record:
     """Return the parameters, targets and findings of a calibration for answer.json, in SI units."""
     assert found.posterior is not None
     return {
@@ -124,13 +131,13 @@ def answer(found: Calibration) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any]:
+def concrete_of(found: Calibration, modules: Mapping[str, SceneModule]) -> Record:
     """Return the contents of a file of the calibrated concrete.
 
     The file states those properties that have the same value in all scenes of the calibration. The result is empty if
     no free parameter is a property of the concrete.
     """
-    sections: dict[str, dict[str, Any]] = {}
+    sections: dict[str, Record] = {}
     names: set[Any] = set()
     for target in found.task.targets:
         scene = modules[target.scene].scene
@@ -155,7 +162,7 @@ def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any
     return head | ({} if base in (None, "own") else {"base": base}) | rounded
 
 
-def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
+def draw(found: Calibration, modules: Mapping[str, SceneModule]) -> Figure:
     """Return a Matplotlib figure of the posterior, with the trials as points.
 
     The panels on the diagonal show the histogram of each parameter, and the panels below show pairs of parameters.

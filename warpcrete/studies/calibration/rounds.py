@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ...core.records import Record
+from ...core.run.scene_module import SceneModule
 from ..cases import is_random
 from .calibration import Calibration
 from .starts import closed_form_start
@@ -14,7 +16,7 @@ MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 
 
-def verification_runs(calibration: Calibration, modules: Mapping[str, Any]) -> int:
+def verification_runs(calibration: Calibration, modules: Mapping[str, SceneModule]) -> int:
     """Return the number of verification runs of the likeliest parameters.
 
     The number is the setting `repeat`, but at most 1 if no scene depends on a random seed.
@@ -30,7 +32,7 @@ def verification_runs(calibration: Calibration, modules: Mapping[str, Any]) -> i
 
 def next_round(
     calibration: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
-) -> dict[str, Any] | None:
+) -> Record | None:
     """Return the next round, or None if the calibration needs no further round.
 
     `left` is the number of full trials that are still allowed. The round is a dictionary with these entries:
@@ -65,7 +67,7 @@ def next_round(
 
 
 def _first_points(
-    calibration: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
+    calibration: Calibration, count: int, settings: Mapping[str, object], modules: Mapping[str, SceneModule]
 ) -> list[list[float]]:
     """Return the parameter sets of the first round, with each parameter scaled to 0 to 1 over its range.
 

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from ...core.errors import SceneError
+from ...core.run.scene_module import SceneModule
 from ...methods import method_of
 from .targets import Target, Task
 
@@ -15,7 +15,7 @@ START_CANDIDATES = 32
 closed form of a funnel takes a quarter of a second."""
 
 
-def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float]]:
+def closed_form_start(task: Task, modules: Mapping[str, SceneModule]) -> list[list[float]]:
     """Return a list with the best starting point for a calibration, or an empty list if no target has a closed form.
 
     The coordinates of the point are the free parameters, each scaled to 0 to 1 over its range. The closed forms of all
@@ -33,7 +33,7 @@ def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float
     return [points[int(np.argmin(misfits))].tolist()]
 
 
-def closed_forms(task: Task, point: Any, modules: Mapping[str, Any]) -> dict[Target, float]:
+def closed_forms(task: Task, point: object, modules: Mapping[str, SceneModule]) -> dict[Target, float]:
     """Return the closed-form predictions at a point, by target; targets without a closed form are left out.
 
     The coordinates of the point are the free parameters, each scaled to 0 to 1 over its range.
@@ -49,7 +49,9 @@ def _misfit(known: Sequence[Target], predictions: Mapping[Target, float]) -> flo
     return sum(((predictions.get(target, math.inf) - target.value) / target.uncertainty) ** 2 for target in known)
 
 
-def _closed_forms(task: Task, targets: Sequence[Target], point: Any, modules: Mapping[str, Any]) -> dict[Target, float]:
+def _closed_forms(
+    task: Task, targets: Sequence[Target], point: object, modules: Mapping[str, SceneModule]
+) -> dict[Target, float]:
     """Return the closed-form predictions of some `targets` at a `point` in the ranges of the free parameters.
 
     Targets that have no closed form, or whose parameters are impossible at this point, are left out. One evaluation of
@@ -65,7 +67,7 @@ def _closed_forms(task: Task, targets: Sequence[Target], point: Any, modules: Ma
     return found
 
 
-def _expected(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> Mapping[str, float]:
+def _expected(task: Task, target: Target, point: object, modules: Mapping[str, SceneModule]) -> Mapping[str, float]:
     """Return the closed-form predictions of all quantities of a target's scene at a `point` in the parameter ranges.
 
     The mapping is empty if the parameters at this point are impossible.

@@ -18,7 +18,9 @@ from ...core.inputs.concretes import concrete, is_file
 from ...core.inputs.limits import check_limit
 from ...core.inputs.parameters import Field, FileIf, declared_fields
 from ...core.inputs.text_files import errors_in_file, errors_located_at, read_mapping
+from ...core.records import Record, SceneArguments
 from ...core.run.method import Quantity
+from ...core.run.scene_module import SceneModule
 from ...core.units import number, shown
 from ...core.written_numbers import written_text
 from ...methods import METHODS, method_of
@@ -130,7 +132,7 @@ class Task:
         """Return the values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
         return np.array([free.place(values[free.name]) for free in self.free])
 
-    def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
+    def parameters(self, target: Target, values: Mapping[str, float], module: SceneModule) -> SceneArguments:
         """Return the keyword arguments that build a target's scene from the `values` of the free parameters.
 
         Free parameters that the scene does not have are left out.
@@ -140,7 +142,7 @@ class Task:
         return {**base, **target.parameters, **{name: value for name, value in values.items() if name in known}}
 
 
-def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, Any]]:
+def read_task(path: Path, modules: Mapping[str, SceneModule]) -> tuple[Task, Record]:
     """Read a file of targets; return the task and the file's contents as a mapping.
 
     `warpcrete calibrate --help` shows an example. Paths in the file are relative to its folder. Raises
@@ -158,7 +160,7 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
 
 
 @names_from_file()
-def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
+def task_of(raw: Mapping[str, object], modules: Mapping[str, SceneModule], folder: Path | None = None) -> Task:
     """Build the task of a calibration from `raw`, the contents of a file of targets as a mapping.
 
     Paths in the mapping are relative to `folder`. Raises :class:`SceneError` for any mistake in the mapping.
@@ -204,11 +206,13 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
     return task
 
 
-def _known(modules: Mapping[str, Any], scene: str) -> Mapping[str, Field]:
+def _known(modules: Mapping[str, SceneModule], scene: str) -> Mapping[str, Field]:
     return declared_fields(modules[scene].scene.parameters)
 
 
-def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[str, Any], folder: Path) -> Target:
+def _target(
+    place: int, given: object, modules: Mapping[str, SceneModule], vary: Mapping[str, object], folder: Path
+) -> Target:
     called = f"target {place}"
     if not isinstance(given, Mapping):
         refuse(called, given, "must consist of 'key: value' pairs", f"possible keys are {', '.join(TARGET_KEYS)}")
@@ -261,7 +265,7 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     return Target(given["scene"], str(given["quantity"]), stated, uncertainty, parameters, held, "")
 
 
-def _in_unit(called: str, given: Any, quantity: str) -> Any:
+def _in_unit(called: str, given: object, quantity: str) -> Any:
     """Convert a text such as "550 mm" to a number in the unit of `quantity`; return anything else unchanged.
 
     `called` names the value in error messages.
@@ -279,7 +283,7 @@ def _unit_of(quantity: str) -> str:
     return units[quantity]
 
 
-def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
+def _uncertainty(called: str, given: object, value: float, quantity: str) -> float:
     """Return the standard deviation of a measured `value`, stated as a number or as a percentage of the value.
 
     `given` is the statement of the user, and `quantity` the measured quantity. `called` names the standard deviation in
@@ -296,7 +300,7 @@ def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
     return float(given)
 
 
-def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> Field:
+def _field(name: str, targets: Sequence[Target], modules: Mapping[str, SceneModule]) -> Field:
     """Return the field that declares a free parameter in the targets' scenes.
 
     Raises :class:`SceneError` if no target's scene has such a parameter, if it is not a number, or if it is the seed.
@@ -349,7 +353,7 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
     )
 
 
-def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
+def _checked(task: Task, target: Target, modules: Mapping[str, SceneModule]) -> Target:
     """Check a target against its scene, and return a copy of the target that includes the unit of the quantity.
 
     Raises :class:`SceneError` if the scene does not measure the quantity, or if the scene refuses a value at one end of
@@ -399,7 +403,7 @@ def _refuse_contradictions(targets: Sequence[Target]) -> None:
                 )
 
 
-def found_in(result: Mapping[str, Any], target: Target) -> float | None:
+def found_in(result: Mapping[str, object], target: Target) -> float | None:
     """Return the value of a target's quantity, read from the contents of a run's result.json.
 
     The result is None if the value is missing or not a finite number.

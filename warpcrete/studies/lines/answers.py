@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from ...core.inputs.amounts import PSI
 from ...core.inputs.customary import beside
+from ...core.records import Record
 from ...core.units import quantity
 from ...geometry.pumps import Pump
 from ...mix.layer import PIPE_UNCERTAINTY, TRIBOMETER_RATIO
@@ -147,7 +147,7 @@ class FastGrowth:
     """Largest growth rate [Pa/s] at which the pump still restarts the line after the stop of this line. Rates above
     `growth` are not considered."""
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Return this restart as an entry of the file line.json."""
         return {
             "growth": quantity(self.growth, "Pa/s"),
@@ -294,7 +294,7 @@ class PumpMargin:
             text += f"; its flow of up to {most} is enough"
         return text
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Return the comparison of the line with its pump as an entry of the file line.json."""
         return {
             "pressure_limit": quantity(self.pump.pressure, "Pa"),

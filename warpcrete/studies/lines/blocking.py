@@ -13,6 +13,7 @@ from typing import Any
 
 from ...core.errors import between, refuse
 from ...core.inputs.customary import both
+from ...core.records import Record, SceneArguments
 from ...core.run.files import write_json
 from ...core.units import number, quantity
 from ...dem.measure.blockage import STANDING_RATIO
@@ -83,7 +84,7 @@ class BlockingProbability:
         """95 % confidence interval of the probability of a blockage (Wilson 1927)."""
         return wilson_interval(self.blocked, self.runs)
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Return the results as the contents of the file blocking-probability.json."""
         low, high = self.interval
         return {
@@ -159,7 +160,7 @@ def run_blocking(
 
 def _parameters(
     part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
-) -> dict[str, Any]:
+) -> SceneArguments:
     """Return the scene parameters of one simulation that pumps concrete through a part.
 
     The simulation ends as soon as the part is blocked, and measures no losses. If the concrete's file states a contact

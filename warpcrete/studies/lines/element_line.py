@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.inputs.amounts import PSI
 from ...core.inputs.customary import beside, both
+from ...core.records import Record
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from .losses import GRAVITY, course_of
@@ -162,7 +163,7 @@ class ElementLine:
         """Return, for each part of the line, the number of seeds for which the simulation of the part was blocked."""
         return [sum(each.is_blocked(part) for each in self.packed) for part in self.line.parts]
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Return the contents of the file line-dem.json: the pressure of the line and the results for its parts."""
         return {
             "line": self.line.name,

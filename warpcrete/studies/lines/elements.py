@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core.errors import between, refuse
 from ...core.inputs.customary import both
+from ...core.records import SceneArguments
 from ...core.run.files import write_json
 from ...core.run.method import Method
 from ...core.run.run import Run
@@ -150,13 +151,13 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 
 def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
-) -> dict[str, Any]:
+) -> SceneArguments:
     """Return the parameters of the scene that simulates a part by discrete elements, without gravity.
 
     If `pressed` is True, a plug at the outlet presses against the concrete (:data:`PRESSED_RUN`).
     """
     wide = max(part.diameter, part.outlet)
-    own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
+    own: SceneArguments = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,
                            "shapes": elements.shapes, "sample_interval": 0.02}  # fmt: skip
     if part.kind == "bend":
@@ -180,7 +181,7 @@ def part_parameters(
     return own
 
 
-def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
+def scaled_parameters(own: Mapping[str, object], narrowest: float, elements: Elements) -> SceneArguments:
     """Multiply the stone sizes and the elastic modulus in a scene's parameters by factors, and return the parameters.
 
     `own` holds the parameters of the scene of a line's part, and `narrowest` is the narrowest bore of the pump line
@@ -200,7 +201,7 @@ def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elemen
     return whole | {name: factor * getattr(given, name) for name in SIZE_PARAMETERS if getattr(given, name) is not None}
 
 
-def _run_name(key: tuple[Any, ...], part: Part, seed: int) -> str:
+def _run_name(key: tuple[object, ...], part: Part, seed: int) -> str:
     return f"{folder_name(part)}{'-pressed' if key[-1] == PRESSED_RUN else ''}-dem-seed-{seed}"
 
 

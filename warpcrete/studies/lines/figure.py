@@ -1,6 +1,8 @@
 """Figure of the pressure along a pump line."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,13 +23,17 @@ from .answers import time_text
 from .pressures import LinePressures
 from .taps import Tap
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 MIN_STRIPE = 0.004
 """Smallest width of the stripe that marks a bend in the figure, divided by the length of the pump line."""
 RESTART_PLACE = 0.015
 """Position of the bar of a restart in the figure, divided by the length of the pump line."""
 
 
-def draw(result: LinePressures) -> Any:
+def draw(result: LinePressures) -> Figure:
     """Return a Matplotlib figure of the pressure along a pump line, with its uncertainty band and the closed form."""
     figure = new_figure(_title(result), 4.4)
     axes = figure.add_subplot()
@@ -86,7 +92,7 @@ def draw(result: LinePressures) -> Any:
     return figure
 
 
-def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> None:
+def _draw_pump(axes: Axes, result: LinePressures, place: float, size: float) -> None:
     """Draw the largest pressure of the pump and the pressure of a restart at full flow, in units of `size` [Pa].
 
     The restart is drawn at the horizontal position `place`, a little to the right of the vertical axis, which would

@@ -6,6 +6,7 @@ from typing import Any
 
 from ...core.inputs.concretes import FACTOR_KEYS, FACTOR_SOURCE, MixSection, NamedConcrete
 from ...core.inputs.yaml_files import yaml_text
+from ...core.records import Record
 from ...core.run.files import atomic_file
 from ...mix.entries import MixEntries
 from ...mix.mix import Mix
@@ -22,7 +23,7 @@ they would replace the fitted layer."""
 
 def fitted_concrete(
     fit: LineFit, concrete: Concrete, mix: Mix | None, source: NamedConcrete | None, line: str
-) -> dict[str, Any]:
+) -> Record:
     """Return the contents of a concrete's file with the fitted slip layer and its uncertainty.
 
     `concrete` is the concrete before the fit, and `mix` its mix, if it has one. `source` is the file or the shipped
@@ -31,7 +32,7 @@ def fitted_concrete(
     """
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
     origin += "" if fit.contradiction is None else ", which contradict each other"
-    found: dict[str, Any] = {"name": concrete.name, "source": origin}
+    found: Record = {"name": concrete.name, "source": origin}
     layer = fit.layer_entry((1.0, 1.0) if mix is None else mix.factors)
     section = None if source is None else source.mix
     if mix is None:
@@ -73,12 +74,12 @@ def write_fit(
     return said if fit.contradiction is None else [f"{each}{warning}" for each in said]
 
 
-def _write(path: Path, contents: Mapping[str, Any]) -> None:
+def _write(path: Path, contents: Mapping[str, object]) -> None:
     with atomic_file(path) as partial:
         partial.write_text(yaml_text(contents), encoding="utf-8")
 
 
-def _plain_entries(concrete: Concrete) -> dict[str, Any]:
+def _plain_entries(concrete: Concrete) -> Record:
     """Return the entries of a section `mix` that states the constants of a concrete as measured values."""
     bulk = {"viscosity": concrete.viscosity, "yield_stress": concrete.yield_stress}
     bulk |= {key: getattr(concrete, key) for key in ("flow_index", "quadratic_viscosity")
@@ -86,14 +87,14 @@ def _plain_entries(concrete: Concrete) -> dict[str, Any]:
     return {"density": concrete.density, "concrete": {key: _short(value) for key, value in bulk.items()}}
 
 
-def _slumped_entries(given: MixEntries) -> dict[str, Any]:
+def _slumped_entries(given: MixEntries) -> Record:
     """Return the entries of a mix for which the user stated only slump or spread, and perhaps the largest stone."""
-    found: dict[str, Any] = {"density": given.density}
+    found: Record = {"density": given.density}
     found |= {key: _short(getattr(given, key)) for key in ("slump", "spread") if getattr(given, key) is not None}
     return found if given.sizes is None else found | {"sizes": [_short(size) for size in given.sizes]}
 
 
-def _points(section: MixSection, given: MixEntries) -> dict[str, Any]:
+def _points(section: MixSection, given: MixEntries) -> Record:
     """Return the entry `viscometer` with the measured points as numbers; empty if the mix has no such entry.
 
     The entry may instead be the path of a file with the points, relative to the folder of the concrete's file. This
@@ -109,7 +110,7 @@ def _short(value: float) -> float:
     return float(f"{value:.9g}")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Convert the entries of a file to plain dictionaries and lists, because only these can be written as YAML."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}

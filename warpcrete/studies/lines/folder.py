@@ -31,7 +31,7 @@ def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> 
 
 
 def part_simulation(
-    scene: Any, check: Any, out: Path | None, called: str, digest: str = "", **settings: Any
+    scene: Any, check: object, out: Path | None, called: str, digest: str = "", **settings: object
 ) -> tuple[Simulation, Path | None]:
     """Return the simulation of a part of a pump line, and the path of the checkpoint from which it continues, or None.
 

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
+from ...core.records import Record
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from ...mix.measurements import CONTRADICTORY
@@ -150,14 +150,14 @@ class LineFit:
         """Return a copy of a concrete that has the fitted slip layer."""
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
-    def layer_entry(self, factors: tuple[float, float] = (1.0, 1.0)) -> dict[str, Any]:
+    def layer_entry(self, factors: tuple[float, float] = (1.0, 1.0)) -> Record:
         """Return the fitted slip layer as the entry `layer` in the section `mix` of a concrete's file.
 
         `factors` are the factors on yield stresses and on viscosities in this file. They multiply the entries when the
         file is read, so the entries are divided by them here.
         """
         yields, viscous = factors
-        found: dict[str, Any] = {
+        found: Record = {
             "viscosity": f"{self.constants[0].value / viscous:.6g} Pa s/m",
             "yield_stress": f"{self.constants[1].value / yields:.6g} Pa",
             **self.law_entries(viscous),
@@ -213,7 +213,7 @@ class LineFit:
 
         return replace(line, parts=tuple(own(part) for part in line.parts))
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Return the fit to the trial line as an entry of the file line.json."""
         return {
             "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}

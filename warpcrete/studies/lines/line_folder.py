@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from ...core.errors import RunFolderError
 from ...core.run.files import read_json, write_json
@@ -17,7 +16,7 @@ PARTS = "parts"
 
 
 @contextmanager
-def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
+def line_folder(out: Path | None, asked: Mapping[str, object]) -> Iterator[None]:
     """Lock the folder of a line during a `with` block.
 
     The folder `out` must be new, or must hold an interrupted line with the same inputs, which then continues. `asked`

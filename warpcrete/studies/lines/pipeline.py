@@ -3,6 +3,7 @@
 from typing import Any
 
 from ...core.errors import RunFolderError, at_least, between, one_of, refuse
+from ...core.records import Record
 from ...core.run.run import Run
 from ...core.units import number, quantity
 from ...dem.measure.quantities import WINDOW, past_ramp
@@ -22,7 +23,7 @@ def pipeline_pressure(vertical: float, horizontal: float, height: float, distanc
     return vertical * height + horizontal * distance
 
 
-def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
+def check_pipeline(scene: Any, other: Record | None, source: object) -> None:
     """Check that Eq. 13 of Zhan et al. (2019) can be applied to a scene and to the result of an earlier run.
 
     Eq. 13 combines the results of a vertical and of a horizontal pipe. `scene` is the scene of one of these pipes, and
@@ -48,9 +49,7 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
         one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT_UNITS if u != pipe.name])
 
 
-def pipeline_estimate(
-    run: Run, height: float, distance: float, other: dict[str, Any] | None = None
-) -> dict[str, Any] | None:
+def pipeline_estimate(run: Run, height: float, distance: float, other: Record | None = None) -> Record | None:
     """Return the pressure of a pipeline by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
 
     `height` and `distance` are the lengths of vertical and horizontal pipe in the pipeline [m]. The run, which pumps

@@ -11,6 +11,7 @@ from typing import Any
 
 from ...core.drawing.html import html_table
 from ...core.inputs.customary import CUSTOMARY_SIZES, beside, both
+from ...core.records import Record
 from ...core.run.tables import dataframe, dataset
 from ...core.units import quantity
 from ...mps.common.mixes import CONCRETE_CONSTANTS
@@ -204,11 +205,11 @@ class LineResult(LinePressures):
         rows = practice_rows(self.line.parts, straight, self.concrete.density * GRAVITY, self.line.customary)
         return PracticeRow("this result", ours, self.pressure, ""), rows
 
-    def _restart_record(self) -> dict[str, Any] | None:
+    def _restart_record(self) -> Record | None:
         """Return the pressures that restart the line after a stop, as an entry of line.json; None without a stop."""
         if self.stop is None:
             return None
-        record: dict[str, Any] = {"rest": quantity(self.stop.rest, "s"), "growth": quantity(self.stop.growth, "Pa/s")}
+        record: Record = {"rest": quantity(self.stop.rest, "s"), "growth": quantity(self.stop.growth, "Pa/s")}
         for name, band in (("begins", self.restart()), ("at_full_flow", self.restart(self.flow))):
             record[name] = {"pressure": quantity(band.value, "Pa"), "pressure_low": quantity(band.low, "Pa"),
                             "pressure_high": quantity(band.high, "Pa"), "band_shares": dict(band.shares)}  # fmt: skip
@@ -290,7 +291,7 @@ class LineResult(LinePressures):
                              "separates there, and the pressure before this part counts from 0")  # fmt: skip
         return found
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Return the results of the line as the contents of the file line.json."""
         places, bands = self.bands()
         band, margin = bands[0], self.margin

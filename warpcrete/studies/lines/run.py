@@ -7,6 +7,7 @@ from typing import Any
 
 from ...core.device.interrupts import StopAtSample
 from ...core.errors import between
+from ...core.records import SceneArguments
 from ...core.run.files import check_new, read_json
 from ...core.units import number
 from ...geometry.pipe_line import Part, PipeLine
@@ -109,7 +110,7 @@ def run_line(
     failed: dict[str, list[str]] = {}
     for place, (key, part) in enumerate(kinds.items()):
 
-        def report_progress(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
+        def report_progress(phase: str, fraction: float, figures: dict[str, float], place: int = place) -> None:
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
         called = folder_name(part) + ("" if part.is_by_length else f"-cells-{cells}")
@@ -164,7 +165,7 @@ def _failure(check: str, found: str) -> str:
     return f"{text}{CURE}{LINE_CURES[check]}" if check in LINE_CURES else text
 
 
-def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
+def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, SceneArguments]:
     """Return the name of the scene that simulates a part without gravity, and the parameters of this scene.
 
     `cells` is the number of cells across the narrowest bore of a bend, a reducer or a mesh. A straight pipe has
@@ -188,7 +189,7 @@ def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> t
     return "part", {**own, "unit": "horizontal", "outlet_diameter": part.outlet, "taper": part.length}
 
 
-def _loss_from_run(part: Part, result: Mapping[str, Any]) -> float:
+def _loss_from_run(part: Part, result: Mapping[str, object]) -> float:
     """Return the friction from the result of a part's simulation.
 
     For a straight pipe or a hose, this is the friction per metre [Pa/m]. For a bend, reducer or bore, it is the

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ...core.records import SceneArguments
+
 EQUAL_SPREAD = 0.05
 """Relative spread (range over mean) up to which pressures count as equal."""
 MIN_DETERMINATION = 0.98
@@ -139,7 +141,7 @@ PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (
 UNITS_ROW = "units"
 """Name of the group of runs with the four pipe units."""
 
-CONCRETES: dict[str, dict[str, Any]] = {
+CONCRETES: dict[str, SceneArguments] = {
     "literal": {"concrete": "zhan-table1"},
     "calibrated": {"concrete": "zhan"},
     "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
@@ -152,7 +154,7 @@ CONCRETES: dict[str, dict[str, Any]] = {
 - "stiff stones" has loosely packed stones with a modulus of 1e7 Pa, the same wall friction and another wall layer.
 """
 
-OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
+OPEN_ASSUMPTIONS: dict[str, tuple[SceneArguments, tuple[str, ...], str]] = {
     "equal fraction": ({"solid_fraction": 0.70}, ("units", "diameter", "aggregate size", "shape factor"),
         "packed to a solid fraction of 0.70 for every pipe, sizes and shapes; the reference mix has this fraction at "
         "the plug's pressure"),
@@ -171,19 +173,19 @@ COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
 
 
-def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
+def zhan_case(row: Row, value: object, quick: bool) -> SceneArguments:
     """Return the scene parameters of pipe unit D (bend to vertical) with the parameter of `row` set to `value`.
 
     With `quick`, the concrete consists of coarse spheres instead of clumps (:data:`COARSE`).
     """
-    case: dict[str, Any] = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
+    case: SceneArguments = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
     case |= dict(row.base) | {row.parameter: value}
     if row.parameter == "size_max":
         case["size_min"] = SMALLEST[value]
     return case
 
 
-def column_parameters(name: str) -> dict[str, Any]:
+def column_parameters(name: str) -> SceneArguments:
     """Return the scene parameters that all runs in one column of the report have in common.
 
     `name` is the name of the column: one of `CONCRETES`, or one of `OPEN_ASSUMPTIONS`, whose parameters are added to
@@ -215,7 +217,7 @@ XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
 The closed form in the same paper gives 9.43e3 Pa and 0.186 m/s."""
 
 
-def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
+def xu_cases(quick: bool) -> dict[str, list[tuple[str, SceneArguments]]]:
     """Return the cases of Xu, Li & Jiang (2021), by the name of their group, as pairs of a scene and its parameters.
 
     The paper computes flow between planes (scene `channel`); the cases in a round pipe (scene `tube`) are an addition.

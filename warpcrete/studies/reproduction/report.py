@@ -1,9 +1,11 @@
 """Report of a reproduction: simulated results next to the paper's results, a verdict on each trend, and a figure."""
 
+from __future__ import annotations
+
 import math
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +27,9 @@ from .papers import (
     xu_cases,
 )
 from .state import Reproduction, key_of, pressures, unit_case, verdict_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 WHAT = {
     "literal": "Table 1 as printed",
@@ -55,7 +60,7 @@ def write(found: Reproduction) -> None:
             draw(found).savefig(partial, dpi=150, format="png")
 
 
-def _plain(result: Mapping[str, Any]) -> dict[str, float]:
+def _plain(result: Mapping[str, object]) -> dict[str, float]:
     """Return all numbers in the contents of a result.json, in SI units; entries that are not numbers are left out."""
     found = {}
     for name, entry in result.items():
@@ -230,7 +235,7 @@ def _verdict(errors: list[float], count: int) -> str:
     return f"Pressure {'holds' if worst < 0.03 else 'differs'}: at most {100 * worst:.2f} % off the closed form."
 
 
-def draw(found: Reproduction) -> Any:
+def draw(found: Reproduction) -> Figure:
     """Return a figure with a panel for each parameter; lines show simulated pressures, crosses show published ones."""
     panels_down = -(-(len(ZHAN) + 1) // 2)  # The last panel holds the legend.
     figure = new_figure("unit D (bend to vertical); titles state claims of Zhan et al. (2019)", *[2.8] * panels_down)

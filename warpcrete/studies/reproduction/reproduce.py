@@ -7,8 +7,10 @@ from typing import Any
 from ...core.device.device import find_device
 from ...core.errors import RunFolderError, one_of, refuse
 from ...core.inputs.hyphens import spelled
+from ...core.records import Record, SceneArguments
 from ...core.run.files import read_json, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
+from ...core.run.scene_module import SceneModule
 from ...scenes import modules
 from ..cases import MAX_CASES, Case
 from ..study import resume_study, run_listed
@@ -55,7 +57,7 @@ def reproduce(
     if not 1 <= seeds <= MAX_CASES:
         refuse("seeds", seeds, f"must be from 1 to {MAX_CASES}")
     columns, rows = chosen(paper, only)
-    taken: dict[str, Any] = {}
+    taken: SceneArguments = {}
     for folder in known:
         taken |= _results(folder, paper, quick)
     find_device(device)
@@ -101,7 +103,7 @@ def _continue(folder: Path, processes: int | None, progress: Progress | None) ->
 
 
 def _part(tell: Progress, place: int, count: int) -> Progress:
-    def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def report_progress(phase: str, fraction: float, figures: dict[str, float]) -> None:
         tell(phase, (place + fraction) / count if phase == "running" else fraction, figures)
 
     return report_progress
@@ -131,7 +133,7 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     return columns, rows
 
 
-def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
+def _results(folder: Path, paper: str, quick: bool) -> Record:
     """Return the results in the folder of an earlier reproduction of the same paper, without failed runs.
 
     Raises :class:`SceneError` if the reproduction belongs to another paper, or if only one of the two is `quick`.
@@ -148,7 +150,7 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
     return read_json(folder / "results.json")["results"]
 
 
-def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
+def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[SceneArguments]]]:
     """Return the studies of those cases of Zhan et al. 2019 that have no result yet, the most expensive studies last.
 
     A study is a tuple with the name of a group of runs, the name of a scene, and the parameters of its cases.
@@ -164,7 +166,7 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
     return [(group, "pipe", cases) for group, cases in studies if cases]
 
 
-def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
+def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[SceneArguments]:
     """Return the parameters of the runs in one column of the report that have no result yet, for all seeds.
 
     `name` is the name of the column. If `hydrated` is True, these are the runs in which a property of hydrated bonds
@@ -181,7 +183,7 @@ def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[s
     return _unique_cases([case for case in each if key_of(group, case) not in reproduction.results])
 
 
-def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
+def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[SceneArguments]]]:
     """Return the studies of those cases of Xu, Li & Jiang 2021 that have no result yet.
 
     A study is a tuple with the name of a group of runs, the name of a scene, and the parameters of its cases.
@@ -195,8 +197,8 @@ def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str
     return [study for study in studies if study[2]]
 
 
-def _unique_cases(cases: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    reproduction: list[dict[str, Any]] = []
+def _unique_cases(cases: Sequence[SceneArguments]) -> list[SceneArguments]:
+    reproduction: list[SceneArguments] = []
     for case in cases:
         if case not in reproduction:
             reproduction.append(case)
@@ -207,7 +209,7 @@ def _run(
     reproduction: Reproduction,
     group: str,
     scene: str,
-    cases: Sequence[dict[str, Any]],
+    cases: Sequence[SceneArguments],
     processes: int | None,
     tell: Progress,
 ) -> Study:
@@ -226,7 +228,7 @@ def _run(
                       usd=False, figure=False, progress=tell)  # fmt: skip
 
 
-def _effective_parameters(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
+def _effective_parameters(module: SceneModule, case: Mapping[str, object]) -> SceneArguments:
     """Return those parameters of a case that affect its results. The seed, for example, does not affect a flow."""
     return module.scene.effective_values(case)
 

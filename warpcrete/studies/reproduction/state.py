@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from ...core.records import Record, SceneArguments
 from ...core.units import number
 from .papers import NEEDS_ALL_VALUES, UNITS, Row, column_parameters, zhan_case
 
@@ -30,7 +30,7 @@ class Reproduction:
     The row `units` stands for the runs of the paper's four pipe units: a vertical pipe, a horizontal pipe and two
     bends. Each other name stands for a :class:`Row`, in which one parameter varies.
     """
-    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    results: dict[str, Record] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)
     """Messages of the errors that ended runs, by the key that :func:`key_of` forms from the parameters of the run."""
@@ -39,7 +39,7 @@ class Reproduction:
     def __repr__(self) -> str:
         return f"<Reproduction of {self.paper}: {len(self.results)} runs, folder '{self.folder}'>"
 
-    def values(self, group: str, parameters: Mapping[str, Any], quantity: str) -> list[float]:
+    def values(self, group: str, parameters: Mapping[str, object], quantity: str) -> list[float]:
         """Return the values of a quantity in the runs of one case with different seeds.
 
         The case has the `parameters`, and belongs to the `group` of runs. Values that are not finite are left out.
@@ -51,18 +51,18 @@ class Reproduction:
                 found.append(number(entry))
         return found
 
-    def mean(self, group: str, parameters: Mapping[str, Any], quantity: str) -> float:
+    def mean(self, group: str, parameters: Mapping[str, object], quantity: str) -> float:
         """Return the mean of a quantity over the seeds of a case; NaN if no run has a value."""
         found = self.values(group, parameters, quantity)
         return float(np.mean(found)) if found else math.nan
 
 
-def key_of(group: str, parameters: Mapping[str, Any]) -> str:
+def key_of(group: str, parameters: Mapping[str, object]) -> str:
     """Return a text that identifies a case by its group and its sorted parameters."""
     return f"{group}: " + ", ".join(f"{name}={parameters[name]!r}" for name in sorted(parameters))
 
 
-def unit_case(unit: str, quick: bool) -> dict[str, Any]:
+def unit_case(unit: str, quick: bool) -> SceneArguments:
     """Return the scene parameters of one of the four pipe units of Zhan et al.
 
     With `quick`, the concrete consists of coarse spheres instead of clumps.

@@ -9,7 +9,9 @@ from typing import Any
 from ...core.errors import RunFolderError, at_least, refuse
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.parameters import declared_fields
+from ...core.records import SceneArguments
 from ...core.run.files import read_json
+from ...core.run.scene_module import SceneModule
 
 IGNORED_PARAMETERS = ("seed", "precision", "tolerated_error")
 """Parameters in which a scene may differ from the scene of a trade-off study without a remark to the user."""
@@ -21,7 +23,7 @@ SHIPPED = Path(__file__).parents[2] / "measured"
 class Advice:
     """Recommended accuracy settings for a scene, their error bound, and the conditions under which it was tested."""
 
-    changes: dict[str, Any]
+    changes: SceneArguments
     """Recommended parameter values, by parameter name."""
     setting: str
     """Description of the recommended settings for the user."""
@@ -48,7 +50,7 @@ class Advice:
     """Version of warpcrete with which the trade-off was measured; empty if unknown."""
 
 
-def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
+def nearest_shipped(name: str, module: SceneModule, given: Mapping[str, object], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
     The scene has the parameters `given`, and runs on a GPU if `on_gpu` is True. Only records of the scene function
@@ -76,7 +78,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
     return Path(min(found)[-1]) if found else None
 
 
-def _kinds_of_aggregates(given: Any) -> tuple[bool, bool]:
+def _kinds_of_aggregates(given: object) -> tuple[bool, bool]:
     """Return whether the aggregates of a flow are groups of particles, and whether they are rigid bodies."""
     # Test `is True`, because `aggregates` is a truth value in the parameters of channels and tubes, but a function,
     # which would count as true, in the parameters of vessels.
@@ -94,7 +96,7 @@ def compact(record: Mapping[str, Any]) -> dict[str, Any]:
     return {name: record[name] for name in kept} | {"points": points} | version
 
 
-def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
+def advise(trade: Path, name: str, module: SceneModule, given: Mapping[str, object], accuracy: float) -> Advice:
     """Return the cheapest accuracy settings whose relative error is at most `accuracy`, a fraction between 0 and 1.
 
     `trade` is the folder of a trade-off study, or the file of a shipped record; it states an error bound for each
@@ -137,7 +139,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         refuse("accuracy", f"{100 * accuracy:g} %", problem, f"use {at_least(100 * best, 2)} % or more, or {more}")
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
-    changes: dict[str, Any] = {}
+    changes: SceneArguments = {}
     taken, left_out = [], []
     for knob_name, key in levels.items():
         knob = knobs.get(knob_name)
@@ -160,7 +162,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     )  # fmt: skip
 
 
-def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
+def outside(measured: Mapping[str, object], own: Mapping[str, object], module: SceneModule) -> list[str]:
     """Return a description of each parameter whose value in this scene differs from its value in the measured scene.
 
     `own` holds the parameters of this scene, and `measured` those of the measured scene.
@@ -178,7 +180,7 @@ def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) ->
     return found
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     if value is None:
         return "the default"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import warp as wp
+
 from ...core.device.device import checked_threads, find_device
 from ...core.errors import RunFolderError, SceneError, flag, refuse, with_suggestions
 from ...core.inputs.by_name import names_from_file
@@ -127,7 +129,7 @@ def _frames(simulation: SimulationBase) -> dict[str, float]:
     return found
 
 
-def _cached(scene: Any, device: Any, threads: int) -> Path:
+def _cached(scene: Any, device: wp.Device, threads: int) -> Path:
     """Return the path of the cache file for the forecast of a scene.
 
     Its name depends on the scene, the versions of the software, the device, and the number of threads.
@@ -161,7 +163,7 @@ def _measured_savings(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[lis
         ) from error
 
 
-def _knobs_of(scene: Any, measured: Mapping[str, Any] | None) -> set[str]:
+def _knobs_of(scene: Any, measured: Mapping[str, object] | None) -> set[str]:
     """Return the names of the knobs (accuracy parameters) whose savings in a trade-off record apply to a scene.
 
     `measured` holds the parameters of the scene in the record. If a knob has another value in this scene, it is left

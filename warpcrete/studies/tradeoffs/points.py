@@ -3,10 +3,10 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from ...core.records import Record, SceneArguments
 from ...core.units import number
 from ...record.checks import failed_checks
 from .fronts import Error, worst
@@ -31,9 +31,9 @@ class Setting:
     levels: dict[str, int]
     """Index of the level (value) of each accuracy parameter that differs from the user's scene, by the parameter's
     name."""
-    parameters: dict[str, Any]
+    parameters: SceneArguments
     """All keyword arguments of the scene function, without the seed."""
-    results: dict[int, dict[str, Any]] = field(default_factory=dict)
+    results: dict[int, Record] = field(default_factory=dict)
     """Contents of result.json by seed; the key is 0 if the scene has no seeds."""
     failures: dict[int, str] = field(default_factory=dict)
     """Errors that ended runs, by seed. These runs are not repeated."""
@@ -47,7 +47,7 @@ class Setting:
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""
-    full: dict[str, Any] = field(default_factory=dict)
+    full: SceneArguments = field(default_factory=dict)
     """All parameters that have an effect on the scene, including those with default values."""
     timed: bool = True
     """True if the wall time in the results was measured. If it is only an estimate, the setting is not recommended."""

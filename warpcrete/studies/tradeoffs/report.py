@@ -1,16 +1,23 @@
 """Output files of a trade-off study: tables, numbers and a figure."""
 
+from __future__ import annotations
+
 import csv
 import itertools
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...core.drawing.style import RUN, SERIES, legend_above, new_figure, open_frame, rgb
+from ...core.records import Record
 from ...core.run.files import atomic_file, write_json
 from ...core.units import shown
 from .fronts import Error, front
 from .points import COMBINED, GIVEN, REFERENCE, Setting
 from .state import Trade
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def percent(error: Error | None) -> str:
@@ -125,7 +132,7 @@ def write(trade: Trade) -> None:
             draw(trade).savefig(partial, dpi=150, format="png")
 
 
-def _recorded(trade: Trade, point: Setting) -> dict[str, Any]:
+def _recorded(trade: Trade, point: Setting) -> Record:
     return {
         "setting": trade.label(point),
         "origin": point.origin,
@@ -189,7 +196,7 @@ RIGHT = 0.88  # Horizontal position, as a fraction of the plot, beyond which a l
 NEAR = 0.07  # Smallest vertical distance of two labels, as a fraction of the plot; horizontally, it is twice as large.
 
 
-def draw(trade: Trade) -> Any:
+def draw(trade: Trade) -> Figure:
     """Return a Matplotlib figure of error against wall time for all measured settings, with the Pareto front.
 
     A setting is a choice of values for all parameters that trade accuracy for run time, and it is drawn as a point.
@@ -231,7 +238,7 @@ def draw(trade: Trade) -> Any:
     return figure
 
 
-def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: Any) -> None:
+def _series(axes: Axes, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: object) -> None:
     """Draw the settings of one `origin`, such as those that vary one accuracy parameter, with confidence intervals.
 
     `mine` holds these settings with their errors. Settings with a failed check have hollow markers.
@@ -251,7 +258,7 @@ def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: s
             label = None
 
 
-def _name_levels(axes: Any, trade: Trade) -> None:
+def _name_levels(axes: Axes, trade: Trade) -> None:
     """Label each point of the figure whose setting changes a single accuracy parameter with the parameter's value.
 
     A label that would overlap another one is left out, because the table lists all values.

@@ -10,6 +10,7 @@ from ...core.device.interrupts import StopAtSample
 from ...core.errors import InstabilityError, SceneError, WarpcreteError
 from ...core.inputs.knobs import Knob
 from ...core.inputs.parameters import declared_fields
+from ...core.records import SceneArguments
 from ...core.run.files import read_json
 from ...core.run.method import Quantity
 from ...core.run.run import Run
@@ -131,7 +132,7 @@ class Trade(Judging):
         `levels` holds the index of a level (value) for each knob (accuracy parameter) that differs from the user's
         scene.
         """
-        changes: dict[str, Any] = {}
+        changes: SceneArguments = {}
         converted: dict[str, tuple[float, float]] = {}
         for knob in self.knobs:
             if knob.name in levels:
@@ -145,7 +146,7 @@ class Trade(Judging):
         self.points.append(Setting(origin, differing, parameters, converted=converted, full=full))
         return self.points[-1]
 
-    def carried(self, point: Setting, variant: str, changes: Mapping[str, Any]) -> Setting:
+    def carried(self, point: Setting, variant: str, changes: Mapping[str, object]) -> Setting:
         """Return the setting of a variant of the scene that corresponds to the setting `point` of the scene itself.
 
         `changes` are the parameters in which the variant differs from the scene. For each knob (accuracy parameter),
@@ -164,10 +165,10 @@ class Trade(Judging):
             self.tried += same
         return same[0]
 
-    def _with(self, full: Mapping[str, Any]) -> Setting | None:
+    def _with(self, full: Mapping[str, object]) -> Setting | None:
         return next((point for point in self.points if point.full == full), None)
 
-    def _full(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    def _full(self, parameters: Mapping[str, object]) -> SceneArguments:
         """Return all parameters that have an effect on the scene, including those with default values."""
         defaults = {name: found.default for name, found in declared_fields(self.module.scene.parameters).items()}
         return self.module.scene.effective_values({**defaults, **self.module.scene.completed(parameters)})
@@ -284,11 +285,11 @@ class Trade(Judging):
         words = short_name("-".join([*point.variant.split(), words]))
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
-    def parameters_of(self, point: Setting, seed: int) -> dict[str, Any]:
+    def parameters_of(self, point: Setting, seed: int) -> SceneArguments:
         """Return the parameters of the scene in the run of a setting with a random seed."""
         return {**point.parameters, **({"seed": seed} if self.has_seeds else {})}
 
-    def _simulation(self, point: Setting, seed: int, **settings: Any) -> Simulation:
+    def _simulation(self, point: Setting, seed: int, **settings: object) -> Simulation:
         scene = self.module.scene(**self.parameters_of(point, seed))
         return Simulation(scene, device=self.device, precision=scene.precision, threads=self.threads, **settings)
 
@@ -324,7 +325,7 @@ class Trade(Judging):
                 cases = [Case(self.folder_of(point, s).name, {}, self.parameters_of(point, s)) for s in seeds]
                 yield (point, seeds), WorkerJob(cases, len(seeds) < MIN_RUNS_FOR_MEDIAN and not point.variant, left)
 
-        def store_outcomes(job: tuple[Setting, list[int]], outcomes: Any) -> None:
+        def store_outcomes(job: tuple[Setting, list[int]], outcomes: object) -> None:
             nonlocal running
             running -= 1
             self.spent = before + time.perf_counter() - begun

@@ -17,7 +17,6 @@ import importlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from ...core.device.device import default_threads, find_device
 from ...core.errors import RunFolderError, at_least, between, callback, positive, refuse, suggested, whole
@@ -26,9 +25,12 @@ from ...core.inputs.by_name import names_from_file
 from ...core.inputs.hyphens import spelled
 from ...core.inputs.limits import check_limit
 from ...core.inputs.origin import check_files, check_named
+from ...core.inputs.scene_functions import SceneFunction
+from ...core.records import Record
 from ...core.run.files import check_new, output_folder, read_json, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
 from ...core.run.provenance import provenance, versions
+from ...core.run.scene_module import SceneModule
 from ...methods import Simulation, method_of
 from ..api import check_settings, module_of
 from ..cases import MAX_CASES, is_random
@@ -47,7 +49,7 @@ SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 setting, and runs with several changed knobs."""
 
 
-def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
+def trade(scene: SceneFunction, *, out: Path | str | None = None, **given: object) -> Trade:
     """Measure how the accuracy settings of a scene change its run time and its errors.
 
     `scene` is a scene function, such as ``warpcrete.scenes.pipe``. The arguments `budget` [s], `quantities`, `knobs`,
@@ -63,9 +65,9 @@ def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
 
 def run_trade(
     scene_name: str,
-    module: Any,
+    module: SceneModule,
     *,
-    base: Mapping[str, Any] | None = None,
+    base: Mapping[str, object] | None = None,
     out: Path,
     budget: float | str = 1200.0,
     quantities: Sequence[str] | None = None,
@@ -153,8 +155,8 @@ def run_trade(
 
 
 def _machine(
-    module: Any, parameters: Mapping[str, Any], device: str | None, threads: int | None
-) -> tuple[str, dict[str, Any]]:
+    module: SceneModule, parameters: Mapping[str, object], device: str | None, threads: int | None
+) -> tuple[str, Record]:
     """Return the device on which a scene runs, and the provenance to be recorded with its results.
 
     Raises an error if the scene cannot run on the requested device.
@@ -164,7 +166,7 @@ def _machine(
     return str(found), provenance(found, scene.precision, int(getattr(scene, "seed", 0)))
 
 
-def _machine_of(module_name: str, *arguments: Any) -> tuple[str, dict[str, Any]]:
+def _machine_of(module_name: str, *arguments: object) -> tuple[str, Record]:
     return _machine(importlib.import_module(module_name), *arguments)
 
 
@@ -180,7 +182,7 @@ def _check_cores(scheduler: str | None, workers: int | None, device: str | None,
 
 def resume_trade(
     folder: Path,
-    module: Any,
+    module: SceneModule,
     *,
     budget: float | str = 1200.0,
     scheduler: str | None = None,
@@ -285,7 +287,7 @@ def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
     No new runs are made. The error limits are those of `WANTED_ERRORS`.
     """
 
-    def tell(phase: str, fraction: float, figures: Mapping[str, Any]) -> None:
+    def tell(phase: str, fraction: float, figures: Mapping[str, object]) -> None:
         pass
 
     trade.interrupted = True  # An interrupted study reads existing runs, but starts no new ones.
@@ -402,7 +404,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
 
 
 def _test_variants(
-    trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
+    trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, object]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
     """Return a setting's largest error in each variant of the scene, and an upper bound of its error in other scenes.
 

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import WarpcreteError
+from ...core.records import Record
 from ...core.run.files import read_json
+from ...core.run.scene_module import SceneModule
 from ...methods import Simulation
 from ..cases import Case
 from ..cluster import hardware
@@ -31,7 +33,7 @@ class WorkerJob:
 
 
 def run_worker_job(
-    record: dict[str, Any], module: Any, folder: Path, trial: WorkerJob, stop_requested: Callable[[], bool]
+    record: Record, module: SceneModule, folder: Path, trial: WorkerJob, stop_requested: Callable[[], bool]
 ) -> list[Any]:
     """Run the cases of the job `trial` until its time is used up, a case fails, or `stop_requested` returns True.
 
@@ -69,8 +71,8 @@ def warm_up(simulation: Simulation) -> None:
 
 
 def _run(
-    record: dict[str, Any],
-    module: Any,
+    record: Record,
+    module: SceneModule,
     folder: Path,
     case: Case,
     load_kernels: bool,

@@ -117,7 +117,7 @@ def read_cases(path: Path) -> list[Case]:
         return _cases(given, path.parent)
 
 
-def _cases(given: Mapping[str, Any], folder: Path) -> list[Case]:
+def _cases(given: Mapping[str, object], folder: Path) -> list[Case]:
     """Return the cases in the contents `given` of a file; paths in the contents are relative to `folder`."""
     for key in given:
         with errors_located_at(given, key):
@@ -140,7 +140,7 @@ def _cases(given: Mapping[str, Any], folder: Path) -> list[Case]:
     return found
 
 
-def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], folder: Path) -> Case:
+def _case(given: object, sources: Mapping[str, object], lines: Mapping[str, object], folder: Path) -> Case:
     if not isinstance(given, Mapping):
         refuse("case", given, "must consist of 'key: value' lines", "begin with 'id: ...'")
     for key in given:
@@ -190,7 +190,7 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     )
 
 
-def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, float] | None]:
+def _scatter(given: Mapping[str, object], unit: str) -> tuple[int, tuple[float, float] | None]:
     """Return the number of concretes over which a mean was taken, and their smallest and largest value in `unit`."""
     if not given:
         return 1, None
@@ -212,7 +212,7 @@ def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, flo
     return concretes, (low, high)
 
 
-def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def _mapping(given: Mapping[str, object], key: str) -> Mapping[str, Any]:
     """Return the mapping under `key`, or an empty mapping if the entry is missing; refuse any other value."""
     found = given.get(key) or {}
     with errors_located_at(given, key):
@@ -221,6 +221,6 @@ def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return found
 
 
-def _listed(given: Any) -> Sequence[Any]:
+def _listed(given: object) -> Sequence[Any]:
     """Return a list of values as it is, and a single value as a list with one entry."""
     return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]

@@ -1,8 +1,10 @@
 """Figure of predicted against measured values on logarithmic axes, with the uncertainty bands of the predictions."""
 
+from __future__ import annotations
+
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +12,10 @@ from ...core.drawing.style import RUN, SECOND, new_figure, rgb
 from .cases import BASES
 from .comparison import Comparison
 from .kinds import KINDS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLUMNS = 2
 """Number of panels in a row of the figure."""
@@ -32,7 +38,7 @@ SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "
 not listed are shown in SI units."""
 
 
-def draw(comparisons: Sequence[Comparison]) -> Any:
+def draw(comparisons: Sequence[Comparison]) -> Figure:
     """Return a Matplotlib figure with one panel for each kind of measurement; held-out cases have filled markers."""
     kinds = [kind for kind in KINDS if any(each.case.kind == kind for each in comparisons)]
     rows = -(-len(kinds) // COLUMNS)
@@ -55,7 +61,7 @@ def _group(comparison: Comparison) -> str:
     return f"{basis}, {'held out' if comparison.held_out else 'others'}"
 
 
-def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
+def _panel(axes: Axes, kind: str, own: Sequence[Comparison]) -> None:
     """Draw all comparisons of one kind of measurement into one panel of the figure."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 

@@ -1,18 +1,21 @@
 """Comparison of predictions with measured cases: ratios, medians and the share of cases inside their bands."""
 
+from __future__ import annotations
+
 import csv
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.device.device import find_device
 from ...core.drawing.html import html_table
 from ...core.errors import WarpcreteError, one_line, one_of
+from ...core.records import Record
 from ...core.run.files import atomic_file, write_json
 from .blocked import BlockingComparison, compare_blocking
 from .cases import BASES, Case, held_out_groups, shipped_cases
@@ -20,6 +23,9 @@ from .comparison import Comparison, compare
 from .figure import draw
 from .kinds import BLOCKING, KINDS, UNITS
 from .simulated import representatives, simulate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[str, float], None]
 
@@ -121,7 +127,7 @@ class Validation:
         return [f"The rules against blocking agree with {right} of {len(rows)} observations.", "",
                 *markdown(BLOCKING_COLUMNS, rows)]  # fmt: skip
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> Record:
         """Return the contents of the file validation.json, with all values in SI units."""
         return {
             "summaries": [vars(each) for each in self.summaries()],
@@ -141,7 +147,7 @@ class Validation:
             "refused": self.refused,
         }  # fmt: skip
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Return a Matplotlib figure of predicted against measured values, with the uncertainty bands."""
         return draw(self.comparisons)
 

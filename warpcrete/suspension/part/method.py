@@ -1,7 +1,8 @@
 """Interface through which the program finds, runs, draws and reports parts of pump lines with aggregates."""
 
 from dataclasses import replace
-from typing import Any
+
+import warp as wp
 
 from ...core.run.forecast import Forecast, Probe
 from ...mps.common.forecast import Course, flow_forecast, law_features
@@ -15,7 +16,9 @@ from .scene import PartSuspensionScene
 from .simulation import PartSuspensionSimulation
 
 
-def forecast(scene: PartSuspensionScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+def forecast(
+    scene: PartSuspensionScene, device: wp.Device, precision: str, threads: int | None, probe: Probe
+) -> Forecast:
     """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
     return flow_forecast(
         lambda: PartSuspensionSimulation(scene, device=str(device), precision=precision, threads=threads),

@@ -1,6 +1,8 @@
 """Matplotlib figures of parts of pump lines with aggregates."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,8 +10,11 @@ from ...core.drawing.style import SECOND, rgb
 from ...core.run.run import Run
 from ...mps.part.pictures import plot_part
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def plot_part_with_aggregates(run: Run) -> Any:
+
+def plot_part_with_aggregates(run: Run) -> Figure:
     """Return the figure that `plot_part` draws of the pressures, and add the fraction of aggregates along the axis.
 
     The pressure loss and the fraction along the axis are means over the last half of the run.

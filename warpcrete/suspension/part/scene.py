@@ -1,7 +1,7 @@
 """Scenes of a mortar with aggregates that flows through a part of a pump line."""
 
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from ...core.errors import refuse
 from ...core.inputs.parameters import Above, Declared
@@ -74,7 +74,7 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
         return f"{PartScene.__repr__(self)[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
 
 
-def part_scene(parameters: AggregateParameters, **given: Any) -> PartScene:
+def part_scene(parameters: AggregateParameters, **given: object) -> PartScene:
     """Return the scene of a part of a pump line, with aggregates if their volume fraction is above 0."""
     if parameters.aggregate_fraction > 0:
         settings = {f.name: getattr(parameters, f.name) for f in fields(BlockageSettings)}

@@ -1,9 +1,8 @@
 """Simulation of mortar with aggregates that flows through a part of a pump line."""
 
-from typing import Any
-
 import numpy as np
 
+from ...core.records import Record, SavedState
 from ...core.run.method import results_of
 from ...core.run.run_loop import Simulation
 from ...core.run.tables import Table
@@ -86,7 +85,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         """Volume fraction of the placed aggregates in the concrete, in the part and in the pipe upstream of it."""
         return self.scene.simulated_fraction
 
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Record:
         """Return the number of cells and other sizes of this run, for its results."""
         return super().sizes() | self.aggregate_sizes()
 
@@ -104,7 +103,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         late = late_rows(np.array([row["time"] for row in self._rows]))
         return np.mean(np.array(self._profiles)[late], axis=0)
 
-    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return the entries of the result, and a table with mean pressure and aggregate fraction along the part."""
         result, tables = super().outcome(series)
         place = blocked_place(self.scene, *self._profiles[-1][:2])
@@ -115,14 +114,14 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         with_fraction = Table({**stations.columns, "fraction": fraction}, {**stations.units, "fraction": "1"})
         return result, tables | {"stations": with_fraction}
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> SavedState:
         """Return the state of the flow, all rows of the time series, and all profiles measured along the part.
 
         The arc lengths of the aggregates at the last measurement [m] are included.
         """
         return super().state_dict() | {"profiles": np.array(self._profiles), "places": self._places}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: SavedState) -> None:
         """Restore a run from a `state_dict`."""
         super().load_state_dict(state)
         self._profiles, self._places = list(state["profiles"]), np.array(state["places"])

@@ -1,6 +1,6 @@
 """Interface through which the program finds, runs, draws and reports stretches of an endless pipe."""
 
-from typing import Any
+import warp as wp
 
 from ...core.run.forecast import Forecast, Probe
 from ...core.run.method import Method
@@ -14,7 +14,7 @@ from .scene import StretchScene
 from .simulation import StretchSimulation
 
 
-def forecast(scene: StretchScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+def forecast(scene: StretchScene, device: wp.Device, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
     return flow_forecast(
         lambda: StretchSimulation(scene, device=str(device), precision=precision, threads=threads),

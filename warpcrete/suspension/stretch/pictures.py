@@ -1,6 +1,8 @@
 """Matplotlib figure of mortar with aggregates in a stretch of pipe."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,8 +10,11 @@ from ...core.drawing.style import RUN, SECOND, THEORY, legend_above, new_figure,
 from ...core.run.run import Run
 from .quantities import LATE
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def plot_stretch(run: Run) -> Any:
+
+def plot_stretch(run: Run) -> Figure:
     """Return a figure of velocity and fraction of aggregates over the radius at the end, and of the flow over time."""
     figure = new_figure(run.scene.caption, 2.8, 2.5, 2.8)
     speed, fraction, course = figure.subplots(3, 1)

@@ -1,10 +1,10 @@
 """Simulation of mortar with aggregates in a stretch of pipe, from a scene to a finished run."""
 
 import math
-from typing import Any
 
 import numpy as np
 
+from ...core.records import Record
 from ...core.run.method import results_of
 from ...core.run.tables import Table
 from ...core.units import quantity
@@ -55,13 +55,13 @@ class StretchSimulation(AggregateRun):
         self.steady = len(late) > 1 and float(np.ptp(late)) <= STEADY * abs(float(late[-1]))
         return False
 
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Record:
         """Return sizes of the model, such as the numbers of cells and aggregates, for the run's result."""
         layout = self.flow.state.layout
         sizes = {"cells": math.prod(layout.cells), "spacing": quantity(layout.spacing, "m")}
         return sizes | self.aggregate_sizes()
 
-    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return entries for the run's result, from the time series and the present state. A stretch has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.fraction))
         radius, velocity = velocity_profile(self.flow)
