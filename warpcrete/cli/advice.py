@@ -49,24 +49,24 @@ def chosen(
             f"for a similar scene {name}; create this folder with 'warpcrete trade {name} --budget 20min' and the same "
             "parameters"
         )
-    found = advise(source, name, module, parameters, part)
-    quantities = " and ".join(found.quantities)
+    advice = advise(source, name, module, parameters, part)
+    quantities = " and ".join(advice.quantities)
     if trade is None:
-        made = f" with version {found.version}" if re.fullmatch(r"[\d.]+", found.version) else ""
+        version = f" with version {advice.version}" if re.fullmatch(r"[\d.]+", advice.version) else ""
         click.echo(
-            f"note: settings from the shipped trade {source.stem!r}, measured{made} on {found.machine}", err=True
+            f"note: settings from the shipped trade {source.stem!r}, measured{version} on {advice.machine}", err=True
         )
-    if found.left_out:
+    if advice.left_out:
         click.echo(
-            f"note: {found.setting}, without {'; '.join(found.left_out)}: the error of this combination is unknown",
+            f"note: {advice.setting}, without {'; '.join(advice.left_out)}: the error of this combination is unknown",
             err=True,
         )
     else:
-        there = f" ({found.time:.2g} s on that machine)" if math.isfinite(found.time) else ""
-        click.echo(f"note: {found.setting}: {quantities} within {100 * found.promised:.2g} %, "
-                   f"in {found.ratio:.2g} times the wall time{there}", err=True)  # fmt: skip
-    if found.tried:
-        click.echo(f"note: also measured for {', '.join(found.tried)}", err=True)
-    if found.outside:
-        click.echo(f"note: not measured with {', '.join(found.outside)}, so the error may be larger", err=True)
-    return found.changes
+        there = f" ({advice.time:.2g} s on that machine)" if math.isfinite(advice.time) else ""
+        click.echo(f"note: {advice.setting}: {quantities} within {100 * advice.promised:.2g} %, "
+                   f"in {advice.ratio:.2g} times the wall time{there}", err=True)  # fmt: skip
+    if advice.tried:
+        click.echo(f"note: also measured for {', '.join(advice.tried)}", err=True)
+    if advice.outside:
+        click.echo(f"note: not measured with {', '.join(advice.outside)}, so the error may be larger", err=True)
+    return advice.changes

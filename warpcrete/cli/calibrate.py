@@ -39,15 +39,15 @@ def run(arguments: list[str], modules: dict[str, SceneModule]) -> None:
         raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
     with progress_bar(quiet) as settings["progress"]:
         if "resume" in settings:
-            found = _resumed(targets, settings, modules)
+            calibration = _resumed(targets, settings, modules)
         elif targets is None:
             raise click.UsageError(
                 "targets: the file of targets is missing; give its path, or continue a calibration with --resume FOLDER"
             )
         else:
             out = settings.pop("out", None) or next_folder("calibration")
-            found = run_calibration(Path(targets), modules, out=out, **settings)
-    report(found)
+            calibration = run_calibration(Path(targets), modules, out=out, **settings)
+    report(calibration)
 
 
 def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, SceneModule]) -> Calibration:

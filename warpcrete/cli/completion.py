@@ -19,8 +19,8 @@ def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[Co
 
     If `files` is true, the shell also offers paths of files.
     """
-    found = [CompletionItem(name) for name in known if name.startswith(incomplete)]
-    return [*found, CompletionItem(incomplete, type="file")] if files else found
+    items = [CompletionItem(name) for name in known if name.startswith(incomplete)]
+    return [*items, CompletionItem(incomplete, type="file")] if files else items
 
 
 def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
@@ -92,8 +92,8 @@ def checked(incomplete: str) -> list[CompletionItem]:
     """
     from ..verification import cases
 
-    found = dict.fromkeys(hyphenated(name) for case in cases() for name in (case.group, case.name))
-    return names([name for name in found if re.fullmatch(r"[\w-]+", name)], incomplete)
+    case_names = dict.fromkeys(hyphenated(name) for case in cases() for name in (case.group, case.name))
+    return names([name for name in case_names if re.fullmatch(r"[\w-]+", name)], incomplete)
 
 
 def devices(incomplete: str) -> list[CompletionItem]:

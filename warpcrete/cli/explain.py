@@ -25,8 +25,8 @@ def run(arguments: list[str], modules: dict[str, SceneModule]) -> None:
     for name, given in values.items():
         if len(given) > 1:
             refuse(name, ", ".join(map(str, given)), "must be a single value", "give the option once, with one value")
-    made = modules[scene].scene(**{name: given[0] for name, given in values.items()})
-    click.echo(str(explain(made, cache=fresh is None, announce=_announce, **settings)))
+    built_scene = modules[scene].scene(**{name: given[0] for name, given in values.items()})
+    click.echo(str(explain(built_scene, cache=fresh is None, announce=_announce, **settings)))
 
 
 def _announce(text: str) -> None:

@@ -118,12 +118,12 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
                 write_lines(said, out)
         click.echo("\n" + "\n".join(said))
         return
-    asked = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}
+    request = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}
     if settings["blocking"] is not None:
-        asked |= {key: settings[key] for key in ("blocking", "shapes", "coarse", "stiffer")}
-    with _interruptible(out), line_folder(out, {**asked, "method": "theory"}):
-        found = line_by_theory(pipes, concrete, given.flow, out=out, stop=stop, fit=fit, **layer)
-        said += lines_of(found, settings["practice"])
+        request |= {key: settings[key] for key in ("blocking", "shapes", "coarse", "stiffer")}
+    with _interruptible(out), line_folder(out, {**request, "method": "theory"}):
+        result = line_by_theory(pipes, concrete, given.flow, out=out, stop=stop, fit=fit, **layer)
+        said += lines_of(result, settings["practice"])
         if line is None:
             said += [
                 "",
@@ -173,15 +173,15 @@ def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, obje
     `layer` describes the uncertainty of the concrete; it is passed to :func:`.line_by_theory` as keyword arguments.
     """
     unit, rates = USUAL_FLOWS[line.customary]
-    found = [f"no flow is stated; pressure at the pump for usual flows (--flow '{rates[2]} {unit}' prints the whole "
+    texts = [f"no flow is stated; pressure at the pump for usual flows (--flow '{rates[2]} {unit}' prints the whole "
              "answer for one):", ""]  # fmt: skip
     for rate in rates:
         band = line_by_theory(line, concrete, amount("flow", f"{rate} {unit}", "m3/s"), **layer).band()
         ends = f"{band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar"
-        found.append(
+        texts.append(
             f"- {rate} {unit}: {pressure_text(band.value)}; {ends}{beside(line.customary, 'psi', band.low, band.high)}"
         )
-    return found
+    return texts
 
 
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, object]) -> None:
@@ -334,19 +334,19 @@ def _factors(given: LineInputs) -> list[str]:
 
 def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
     """Return lines of text on each slip layer that the mix allows besides the one used, with the resulting pressure."""
-    found = []
+    texts = []
     for eta, tau in () if given.mix is None else given.mix.other_layers:
         assert given.mix is not None and given.flow is not None
         stresses, viscosities = given.mix.factors
         concrete = replace(given.concrete, slip_viscosity=viscosities * eta.value, slip_yield=stresses * tau.value)
         pressure = line_by_theory(line, concrete, given.flow).pressure
-        found += [
+        texts += [
             "",
             f"another estimate of the slip layer, {concrete.slip_viscosity:.3g} Pa s/m from {eta.way}, would "
             f"give {pressure / 1e5:.3g} bar{beside(line.customary, 'psi', pressure)}; measure the layer "
             "to decide between them",
         ]
-    return found
+    return texts
 
 
 def _rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> list[str]:

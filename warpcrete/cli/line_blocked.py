@@ -17,8 +17,8 @@ def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[
     """
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "stiffer")})
     with progress_bar(settings["quiet"]) as tell:
-        found = run_blocking(
+        blocking = run_blocking(
             line, name, rate, settings["blocking"], out=folder, elements=elements, device=settings["device"],
             processes=settings["threads"], progress=tell,
         )  # fmt: skip
-    return list(found.lines)
+    return list(blocking.lines)

@@ -106,10 +106,10 @@ def _amount(name: str, settings: Mapping[str, object], unit: str, limited: str =
     """
     if settings[name] is None:
         return None
-    found = amount(name, settings[name], unit)
-    positive(name, found, unit)
-    check_limit(name, found, unit, limited or name)
-    return found
+    value = amount(name, settings[name], unit)
+    positive(name, value, unit)
+    check_limit(name, value, unit, limited or name)
+    return value
 
 
 def _from_file(line: str, settings: Mapping[str, object]) -> PipeLine:

@@ -33,39 +33,39 @@ def run(
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "seeds", "stiffer")})
-    asked = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
+    request = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
              "cells": settings["cells"], "elements": fingerprint(elements)}  # fmt: skip
     if unless_known:
-        asked["simulated"] = "parts that no table covers"
+        request["simulated"] = "parts that no table covers"
     if settings["blocking"] is not None:
-        asked["blocking"] = settings["blocking"]
+        request["blocking"] = settings["blocking"]
     where = {"out": folder, **{key: settings[key] for key in ("known", "device", "threads")}}
-    found, packed = None, None
-    with progress_bar(settings["quiet"]) as tell, line_folder(folder, asked):
+    result, packed = None, None
+    with progress_bar(settings["quiet"]) as tell, line_folder(folder, request):
         if method != "dem":
-            found = run_line(
+            result = run_line(
                 line, concrete_of(name), rate, simulate=True, unless_known=unless_known, cells=settings["cells"],
                 stop=stop, progress=tell, **layer, **where,
             )  # fmt: skip
         if method != "flow":
             packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
-        finish(_text(line, name, rate, found, packed, folder, settings["practice"]))
-    return any(each is not None and bool(each.failed) for each in (found, packed))
+        finish(_text(line, name, rate, result, packed, folder, settings["practice"]))
+    return any(each is not None and bool(each.failed) for each in (result, packed))
 
 
 def _text(
-    line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path,
+    line: PipeLine, name: str, rate: float, result: LineResult | None, packed: ElementLine | None, folder: Path,
     practice: bool,
 ) -> list[str]:  # fmt: skip
     """Return the results of all simulations as lines of text; write results of discrete elements into `folder`.
 
-    `found` holds the results of flow simulations, and `packed` holds those of discrete elements; each is None without
+    `result` holds the results of flow simulations, and `packed` holds those of discrete elements; each is None without
     such simulations. `rate` is the volume flow [m3/s]. If `practice` is true, the text contains a comparison with rules
     of practice.
     """
-    said = [] if found is None else lines_of(found, practice)
+    said = [] if result is None else lines_of(result, practice)
     if packed is not None:
-        others = {} if found is None else {"flow": [x.friction for x in found.losses]}
+        others = {} if result is None else {"flow": [x.friction for x in result.losses]}
         if completed(name).flow:
             concrete = concrete_of(name)
             others["theory"] = [friction(part, concrete, rate) for part in line.parts]
@@ -73,5 +73,5 @@ def _text(
         said += ["", *text] if said else text
         with atomic_file(folder / "line-dem.md") as partial:
             partial.write_text("\n".join(text) + "\n", encoding="utf-8")
-    took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
+    took = (0.0 if result is None else sum(result.took.values())) + (0.0 if packed is None else packed.elapsed)
     return [*said, "", f"folder: {folder}; simulations took {took:.0f} s"]

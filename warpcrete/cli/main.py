@@ -326,8 +326,8 @@ def schema_command(kind: str | None, path: bool) -> None:
     """
     if kind is None:
         raise click.UsageError("kind: the kind of file is missing; give 'concrete', 'mix', 'line' or 'targets'")
-    found = importlib.import_module("warpcrete.cli.schemas").shipped_schema(kind)
-    click.echo(found if path else found.read_text(encoding="utf-8"), nl=path)
+    schema = importlib.import_module("warpcrete.cli.schemas").shipped_schema(kind)
+    click.echo(schema if path else schema.read_text(encoding="utf-8"), nl=path)
 
 
 def _add_command(name: str, text: str, words_of: Callable[[list[str]], list[str]]) -> None:

@@ -67,14 +67,14 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
     if mix.factors != (1.0, 1.0):
         source += f"; includes {factors_text(mix.factors, named(name).factor_source)}"
-    found: dict[str, object] = {"name": mix.name, "source": source}
+    contents: dict[str, object] = {"name": mix.name, "source": source}
     if mix.concrete.layer_law.name == BINGHAM or {"layer_yield", "layer_viscosity"} <= set(mix.elements):
         with warnings.catch_warnings():
             # Ignore warnings: those about the mix were shown when the mix was read, and a remark in the output already
             # says that the sieve curve is missing.
             warnings.simplefilter("ignore", PlausibilityWarning)
-            found["elements"] = dict(PipeParameters.implied({"concrete": name}))
-    return found | {"flow": {key: getattr(mix.concrete, key) for key in mix.flow}}
+            contents["elements"] = dict(PipeParameters.implied({"concrete": name}))
+    return contents | {"flow": {key: getattr(mix.concrete, key) for key in mix.flow}}
 
 
 STIFF = 700.0
@@ -85,10 +85,10 @@ STIFF = 700.0
 def _cone(mix: Mix) -> str:
     """Return a `warpcrete run` command that simulates the slump test of the mix with discrete elements."""
     law = "mortar" if mix.concrete.yield_stress < STIFF else "plastic"
-    found = f"warpcrete run slump --method dem --law {law} --bulk-density {mix['density'].value:.5g}"
-    found += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix.concrete.viscosity:.4g}"
+    command = f"warpcrete run slump --method dem --law {law} --bulk-density {mix['density'].value:.5g}"
+    command += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix.concrete.viscosity:.4g}"
     given = mix.given
     if given.largest is not None:
         low = given.sizes[0] if given.sizes is not None else given.sieve[0][0]  # type: ignore[index]
-        found += f" --size-min {low:g} --size-max {given.largest:g}"
-    return found
+        command += f" --size-min {low:g} --size-max {given.largest:g}"
+    return command

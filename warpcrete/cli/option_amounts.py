@@ -22,14 +22,14 @@ def option_amount(field: str, given: str | None, unit: str) -> float | None:
     """
     if given is None:
         return None
-    found = amount(field, given, unit)
-    check_limit(field, found, unit)
-    return found
+    value = amount(field, given, unit)
+    check_limit(field, value, unit)
+    return value
 
 
 def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
     """Return the texts `given` of a repeatable option, whose name is `field`, as numbers in `unit`."""
-    return [found for each in given if (found := option_amount(field, each, unit)) is not None]
+    return [value for each in given if (value := option_amount(field, each, unit)) is not None]
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:

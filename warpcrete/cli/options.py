@@ -50,7 +50,7 @@ def _value_of(option: str, words: list[str]) -> str | None:
 
 def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
     """Return one option for each declared parameter in `fields`."""
-    found: list[click.Parameter] = []
+    options: list[click.Parameter] = []
     for field in fields:
         name, default = field.name, field.default if field.default is not MISSING else None
         settings: dict[str, Any] = {
@@ -63,8 +63,8 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
         else:
             option = ParameterOption([flag(name), name], type=kind_of(field, name), **settings)
         option.group, option.common = field.group, field.common
-        found.append(option)
-    return found
+        options.append(option)
+    return options
 
 
 class Quantity(click.ParamType):
@@ -140,9 +140,9 @@ def given(values: Mapping[str, object], context: click.Context | None = None) ->
 def check_scene(name: str | None, modules: Mapping[str, SceneModule], more: str = "") -> None:
     """Raise an error if no scene has this name; the error message lists the scenes, followed by the text `more`."""
     if name not in modules:
-        meant = suggested(name, modules)
+        hint = suggested(name, modules)
         raise click.UsageError(
-            f"scene = {name!r}: must be one of {', '.join(modules)}{more}" + f"; {meant}" * bool(meant)
+            f"scene = {name!r}: must be one of {', '.join(modules)}{more}" + f"; {hint}" * bool(hint)
         )
 
 

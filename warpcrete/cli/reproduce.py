@@ -31,17 +31,17 @@ def run(
                 )
             if not (resume / RECORD).is_file():
                 raise RunFolderError(f"resume = '{resume}': {wrong_folder(resume, RECORD)}")
-            found = resume_reproduction(resume, processes=processes, progress=tell)
+            reproduction = resume_reproduction(resume, processes=processes, progress=tell)
         elif paper is None:
             raise click.UsageError(
                 "paper: is missing; give 'zhan' or 'xu', or continue a reproduction with --resume FOLDER"
             )
         else:
             folder = out or next_folder(f"reproduce-{paper}")
-            found = reproduce(paper, out=folder, quick=quick, seeds=seeds, only=only, known=known, device=device,
+            reproduction = reproduce(paper, out=folder, quick=quick, seeds=seeds, only=only, known=known, device=device,
                               processes=processes, progress=tell)  # fmt: skip
-    click.echo("\n" + (found.folder / "reproduction.md").read_text(encoding="utf-8"))
-    click.echo(f"folder: {found.folder}")
-    if not found.finished:
-        click.echo(f"continue with: warpcrete reproduce --resume {found.folder}")
+    click.echo("\n" + (reproduction.folder / "reproduction.md").read_text(encoding="utf-8"))
+    click.echo(f"folder: {reproduction.folder}")
+    if not reproduction.finished:
+        click.echo(f"continue with: warpcrete reproduce --resume {reproduction.folder}")
         raise SystemExit(INTERRUPTED)

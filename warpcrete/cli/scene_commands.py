@@ -139,8 +139,8 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
         if resume is None:
             parameters = {key: value for key, value in given.items() if key not in common}
             if accuracy is not None or trade is not None:
-                asked = parameters | {key: given[key] for key in ("precision",) if key in given}
-                changes = load("advice").chosen(name, module, asked, accuracy, trade, settings["device"])
+                stated_parameters = parameters | {key: given[key] for key in ("precision",) if key in given}
+                changes = load("advice").chosen(name, module, stated_parameters, accuracy, trade, settings["device"])
                 if "precision" not in given:
                     settings["precision"] = changes.pop("precision", settings["precision"])
                 parameters = module.scene.effective_values(module.scene.resolved(parameters) | changes)

@@ -133,13 +133,13 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, object]) -> dict[s
 
     Each of these options must have exactly one value, which is converted to the type that `kinds` states.
     """
-    found = {}
+    values_by_name = {}
     for name in kinds.keys() & options.keys():
         values = options.pop(name)
         if len(values) != 1:
             raise click.UsageError(f"--{name}: needs one value, but has {len(values)}; write one value after --{name}")
-        found[name] = converted(name, values[0], kinds[name])
-    return found
+        values_by_name[name] = converted(name, values[0], kinds[name])
+    return values_by_name
 
 
 def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
@@ -234,12 +234,12 @@ def fields_of(module: SceneModule, options: Mapping[str, list[str]]) -> dict[str
     `module` is the scene's Python module. `options` maps the name of each option to the words that follow it; the words
     after an option such as `contact` are names of contact laws.
     """
-    found: dict[str, Field] = {}
+    fields: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
-        found[name] = field
+        fields[name] = field
         for word in options.get(name.replace("_", "-"), []) if any(field.of_kind(CompositeRule)) else []:
-            found = module.scene.fields({name: word}) | found
-    return found
+            fields = module.scene.fields({name: word}) | fields
+    return fields
 
 
 def parameter_values(
@@ -251,16 +251,16 @@ def parameter_values(
     options, whose names are in `settings`.
     """
     known = fields_of(module, options)
-    found: dict[str, list[Any]] = {}
+    values: dict[str, list[Any]] = {}
     for option, words in options.items():
         negative = option.startswith("no-") and option[3:].replace("-", "_") in known
         name = (option[3:] if negative else option).replace("-", "_")
         if name not in known:
-            meant = suggested(name, (*known, *settings))
-            meant = meant.replace("_", "-").replace("'", "")
+            hint = suggested(name, (*known, *settings))
+            hint = hint.replace("_", "-").replace("'", "")
             raise click.UsageError(
                 f"--{option}: is not a parameter of this scene; "
-                + (meant or "'warpcrete run SCENE --help-all' lists its parameters").replace("you mean ", "you mean --")
+                + (hint or "'warpcrete run SCENE --help-all' lists its parameters").replace("you mean ", "you mean --")
             )
         kind = known[name].kind
         if negative and (words or kind is not bool):
@@ -269,8 +269,8 @@ def parameter_values(
             words = words or ["false" if negative else "true"]
         if not words:
             raise click.UsageError(f"--{option}: needs one or more values; write the values after it")
-        found[name] = [_value(option, word, known[name]) for word in words]
-    return found
+        values[name] = [_value(option, word, known[name]) for word in words]
+    return values
 
 
 def _value(option: str, word: str, field: Field) -> Any:

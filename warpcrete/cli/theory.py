@@ -154,8 +154,8 @@ def _fitted(
     printed values are divided by these factors.
     """
     fit = measured_layer(concrete, line, flows, pressures)
-    found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
-    off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]
+    fitted = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
+    off = [steady(fitted, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]
     errors = f"standard errors {fit.slope_error:.2g} Pa s/m and {fit.offset_error:.2g} Pa"
     if len(flows) < 3:
         errors = "two points give no standard errors"
@@ -165,4 +165,4 @@ def _fitted(
         f"fitted to {len(flows)} points: --slip-viscosity {eta:.5g} --slip-yield {tau:.5g}{before}; "
         f"the closed form then deviates by {100 * min(off):+.2g} to {100 * max(off):+.2g} %; {errors}\n"
     )
-    return found
+    return fitted

@@ -25,9 +25,9 @@ SEVERAL = ("quantity", "knob")
 
 def seconds(text: str) -> float:
     """Return the number of seconds in a text such as '90s', '20min' or '1.5h'."""
-    found = re.fullmatch(r"([0-9.]+(?:e-?[0-9]+)?) ?(s|min|h)", text.strip())
+    match = re.fullmatch(r"([0-9.]+(?:e-?[0-9]+)?) ?(s|min|h)", text.strip())
     try:
-        return float(found.group(1)) * UNITS[found.group(2)]  # type: ignore[union-attr]
+        return float(match.group(1)) * UNITS[match.group(2)]  # type: ignore[union-attr]
     except (AttributeError, ValueError):
         raise click.UsageError(f"budget = {text!r}: must be a time such as 90s, 20min or 2h") from None
 

@@ -29,16 +29,16 @@ def run(
         check_new(out)
     given = None if cases is None else read_cases(cases)
     with progress_bar(quiet) as tell:
-        found = validate(given, kinds=kind, quick=quick, device=device, progress=tell)
+        validation = validate(given, kinds=kind, quick=quick, device=device, progress=tell)
     if every:
-        click.echo(found.table())
+        click.echo(validation.table())
     else:
-        click.echo("\n".join(found.summary_lines()))
-        if found.blocking:
-            click.echo("\n" + "\n".join(found.blocking_lines()))
-        for name, why in found.refused.items():
+        click.echo("\n".join(validation.summary_lines()))
+        if validation.blocking:
+            click.echo("\n" + "\n".join(validation.blocking_lines()))
+        for name, why in validation.refused.items():
             click.echo(f"refused: {name}: {why}")
     if out is not None:
         with new_folder(out):
-            found.write(out)
+            validation.write(out)
         click.echo(f"written: {out / 'validation.md'}")

@@ -25,7 +25,7 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
     """
     if out is not None:
         check_new(out)
-    found = find_device(device)
+    selected_device = find_device(device)
     part = hyphenated(only.lower())
     chosen = [case for case in verification.cases() if part in hyphenated(f"{case.group}: {case.name}".lower())]
     if not chosen:
@@ -37,15 +37,18 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
         raise click.UsageError(f"only = {only!r}: matches slow cases only; leave out --quick")
     results = []
     failed = 0
-    for case, rows in verification.run_cases(chosen, str(found), precision, slow=not quick):
+    for case, rows in verification.run_cases(chosen, str(selected_device), precision, slow=not quick):
         results.append((case, rows))
         wrong = sum(not row.passed for row in rows)
         failed += wrong
         verdict = f"{wrong} of {len(rows)} FAIL" if wrong else f"{len(rows)} ok"
         click.echo(f"{case.group + ': ' + case.name:48s} {verdict}")
-    text = f"{found.name}, {precision}\n\n{verification.summary(results)}\n{verification.table(results)}"
+    text = f"{selected_device.name}, {precision}\n\n{verification.summary(results)}\n{verification.table(results)}"
     if extremes:
-        outcomes, flows = edge.matrix(str(found), precision), flow_extremes.matrix(str(found), precision)
+        outcomes, flows = (
+            edge.matrix(str(selected_device), precision),
+            flow_extremes.matrix(str(selected_device), precision),
+        )
         failed += sum(not outcome.acceptable for outcome in (*outcomes, *flows))
         text += f"\n{edge.table(outcomes)}\n{flow_extremes.table(flows)}"
     click.echo("\n" + text)

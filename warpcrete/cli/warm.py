@@ -34,13 +34,13 @@ def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
     compiled.
     """
     names, parameters = _scenes_and_parameters(words, modules)
-    found = find_device(device)
+    selected_device = find_device(device)
     code = _code_hash()
-    made = {name: modules[name].scene(**parameters) for name in names}
-    for name, scene in made.items():
+    scenes = {name: modules[name].scene(**parameters) for name in names}
+    for name, scene in scenes.items():
         # Use no record if there are parameters: the record's name does not depend on parameters or on the code of a
         # user's contact law, so the record of another run would be found.
-        record = None if parameters else _record(name, Path(modules[name].__file__), found, code)
+        record = None if parameters else _record(name, Path(modules[name].__file__), selected_device, code)
         if record is not None and _is_complete(record):
             click.echo(f"{name:12s} ready: an earlier call compiled its kernels, and all of them are in the cache")
             continue
@@ -49,13 +49,16 @@ def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
         # The forecast `explain` simulates the first steps of a small copy of the scene, takes measurements and draws a
         # frame. This compiles all kernels of a run.
         with kernel_files() as files:
-            explain(scene, device=str(found), cache=False)
+            explain(scene, device=str(selected_device), cache=False)
         if record is not None:
             # Ignore a record that cannot be written, because the kernels are ready without it.
             with suppress(OSError, RunFolderError):
                 _write_record(record, files)
         click.echo(f"{name:12s} {method_of(scene).name:10s} {time.perf_counter() - started:5.1f} s")
-    click.echo(f"kernels for {found} are ready; later runs of these scenes with their features start without compiling")
+    click.echo(
+        f"kernels for {selected_device} are ready; later runs of these scenes with their features start without "
+        "compiling"
+    )
 
 
 def _scenes_and_parameters(words: list[str], modules: dict[str, SceneModule]) -> tuple[list[str], SceneArguments]:

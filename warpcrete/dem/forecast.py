@@ -152,12 +152,12 @@ class _ShortenedCopy:
         # Some intervals between progress reports include the time in which kernels are loaded. Limit each interval to
         # three times the median interval.
         chunks = np.diff(marks)
-        taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
+        packing_time = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
             # A packing to a given pressure consists of two packings: a trial packing, then the real packing.
-            taken /= 2
+            packing_time /= 2
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
-            self.packing = taken * (2 if fill.pressure is not None else 1)
+            self.packing = packing_time * (2 if fill.pressure is not None else 1)
             return table, report
         whole = container.length / pilot.length
         most = MAXIMUM_SPHERES[parallel(self.device)]
@@ -166,10 +166,10 @@ class _ShortenedCopy:
         placed = float(placed_bodies(self.scene).sphere_counts.sum())
         self.factor = (whole * spheres + placed) / (kept * spheres + placed)
         if parallel(self.device):
-            long = taken * (IDLE_SPHERES + whole * spheres) / (IDLE_SPHERES + spheres)
+            long = packing_time * (IDLE_SPHERES + whole * spheres) / (IDLE_SPHERES + spheres)
         else:
-            long = taken * whole
-        self.packing = long + (taken if fill.pressure is not None else 0.0)
+            long = packing_time * whole
+        self.packing = long + (packing_time if fill.pressure is not None else 0.0)
         return tiled(table, container.axis, pilot.length, kept * pilot.length), report
 
     def _time(self) -> None:
@@ -249,7 +249,7 @@ class _ShortenedCopy:
         safety = scene.time_step.safety
         if self.spheres == 0:
             return {"no bodies": stepper.dt}, "limited only by the largest allowed step"
-        found: dict[str, float] = {}
+        stable_steps: dict[str, float] = {}
         held = simulation.state.pairs.bond.numpy().copy() if simulation.model.features.bonds else None
         kinds = None if held is None else bond_kinds(held)
 
@@ -263,11 +263,11 @@ class _ShortenedCopy:
         subcycles = stepper.batch.subcycles
         rounds = subcycles.rounds
         if rounds:
-            found["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
+            stable_steps["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
             # Switch sub-cycling off, because the limits that are estimated next apply to steps without sub-cycling.
             subcycles.set_rounds(stepper.index, 0)
         try:
-            found["contacts"] = estimate()
+            stable_steps["contacts"] = estimate()
             for number, name in enumerate(names, 1):
                 assert held is not None and kinds is not None
                 if rounds and name == "hydrated bonds":
@@ -279,24 +279,24 @@ class _ShortenedCopy:
                 else:
                     only[kinds != number] = 0
                 simulation.state.pairs.bond.assign(only)
-                found[f"contacts and {name}"] = estimate()
+                stable_steps[f"contacts and {name}"] = estimate()
         finally:
             if held is not None:
                 simulation.state.pairs.bond.assign(held)
             if rounds:
                 subcycles.set_rounds(stepper.index, rounds)
         if self._springs_differ:
-            found["contacts without dashpots"] = min(safety * self._undamped(), scene.time_step.largest)
+            stable_steps["contacts without dashpots"] = min(safety * self._undamped(), scene.time_step.largest)
         whole = estimate()
         if whole > scene.time_step.largest:
-            found["largest allowed"] = scene.time_step.largest
-            return {**found, "all together": scene.time_step.largest}, (
+            stable_steps["largest allowed"] = scene.time_step.largest
+            return {**stable_steps, "all together": scene.time_step.largest}, (
                 "the largest allowed time step (TimeStep.largest)"
             )
         if fixed is not None:
-            return {**found, "all together": whole}, f"the given time_step = {fixed:g} s"
-        alone = found["contacts"]
-        bonded = {name: dt for name, dt in found.items() if name.startswith("contacts and ")}
+            return {**stable_steps, "all together": whole}, f"the given time_step = {fixed:g} s"
+        alone = stable_steps["contacts"]
+        bonded = {name: dt for name, dt in stable_steps.items() if name.startswith("contacts and ")}
         words = []
         if bonded and min(bonded.values()) < 0.9 * alone:
             name = min(bonded, key=bonded.__getitem__)
@@ -307,14 +307,14 @@ class _ShortenedCopy:
             )
         else:
             words.append("contacts")
-            undamped = found.get("contacts without dashpots", alone)
+            undamped = stable_steps.get("contacts without dashpots", alone)
             if undamped > 1.1 * alone:
                 share = 100 * (1 - alone / undamped)
                 words.append(f"their dashpots shorten the step by {share:.0f} % compared with springs alone")
         if rounds:
             words.append(f"hydrated bonds are integrated in {rounds} rounds per step, which halves the step")
         words.append(self._smallest())
-        return {**found, "all together": whole}, "; ".join(words)
+        return {**stable_steps, "all together": whole}, "; ".join(words)
 
     @property
     def _springs_differ(self) -> bool:

@@ -170,15 +170,15 @@ def pack_many(
     part = float(np.mean(parts)) if parts else 0.0
 
     def grow_all(containers: dict[int, Any], report_fraction: Callable[[float], None]) -> dict[int, Any]:
-        found: dict[int, Any] = {}
+        outcomes: dict[int, Any] = {}
         growths: dict[int, _Growth] = {}
         for number, (container, fraction) in containers.items():
             request = requests[number]
             try:
                 growths[number] = _Growth(request, container, fraction, randoms[number], device, precision)
             except WarpcreteError as error:
-                found[number] = error
-        return found | _grow_together(growths, threads, report_fraction)
+                outcomes[number] = error
+        return outcomes | _grow_together(growths, threads, report_fraction)
 
     measured = grow_all(pilots, lambda done: tell(part * done)) if pilots else {}
     wanted: dict[int, Any] = {}
@@ -204,7 +204,7 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
     for number, growth in growths.items():
         key = batch_key(growth.model) if parallel(growth.model.device) else number
         groups.setdefault(key, []).append(number)
-    found: dict[int, Any] = {}
+    packings: dict[int, Any] = {}
     done = dict.fromkeys(growths, 0.0)
 
     def report_fraction(number: int, fraction: float) -> None:
@@ -219,11 +219,11 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
             stepper.change(local_damping=0.5, growth_rate=growth.rate, growth_end=1.0)
             scenes[number] = (stepper, growth.growing(stepper, lambda done, n=number: report_fraction(n, done)))
         results = drive(scenes)
-        found |= results
+        packings |= results
         stop = next((r for r in results.values() if isinstance(r, KeyboardInterrupt)), None)
         if stop is not None:
             raise stop
-    return found
+    return packings
 
 
 class _Growth:
@@ -338,12 +338,12 @@ class _Growth:
         result.spin = np.zeros_like(result.spin)
         reached = sums.virial / (3 * self.container.volume)
         if pressure is not None and self.container is self.fill.container:
-            found = f"reached {reached:.3g} Pa after all sizes were multiplied by {factor:.3f}"
+            problem = f"reached {reached:.3g} Pa after all sizes were multiplied by {factor:.3f}"
             if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
                 refuse(
                     "packing pressure",
                     pressure,
-                    f"cannot be met: the packing {found}",
+                    f"cannot be met: the packing {problem}",
                     "give a solid fraction instead, or a pressure of 0.001 to 0.1 times the contacts' modulus "
                     f"({self.contact.stress_scale:g} Pa)",
                 )

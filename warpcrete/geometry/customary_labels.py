@@ -14,7 +14,7 @@ def with_customary_labels(parts: Sequence[Part], entries: Sequence[object], diam
     `entries` are the entries of the parts in the pipeline's file, and `diameter` is the diameter of the first part as
     written in the file. A size that the file states in a customary unit appears unchanged in the label.
     """
-    bore, found = _written(diameter, parts[0].diameter, INCH, "in"), []
+    bore, parts_with_labels = _written(diameter, parts[0].diameter, INCH, "in"), []
     for part, entry in zip(parts, entries, strict=True):
         ((kind, said),) = entry.items() if isinstance(entry, Mapping) else ((entry, None),)
         sizes = said if isinstance(said, Mapping) else {next(iter(PARTS[kind])): said}
@@ -27,8 +27,8 @@ def with_customary_labels(parts: Sequence[Part], entries: Sequence[object], diam
             label = f"{inlet} to {bore}"
         elif kind == "bore":
             bore = _written(sizes.get("outlet"), part.outlet, INCH, "in")
-        found.append(_labelled(part, label))
-    return tuple(found)
+        parts_with_labels.append(_labelled(part, label))
+    return tuple(parts_with_labels)
 
 
 def as_customary(line: PipeLine) -> PipeLine:

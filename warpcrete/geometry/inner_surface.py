@@ -133,8 +133,8 @@ class InnerSurface:
         `apart` their lengths [m].
         """
         ways = offset / np.maximum(apart, 1e-12)[:, None]
-        found = self._queries.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
-        inside = (found < 0) | (found >= apart)
+        hits = self._queries.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
+        inside = (hits < 0) | (hits >= apart)
         return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
 
     @functools.cached_property
@@ -158,9 +158,9 @@ class InnerSurface:
         points, _, one, other = self.axis.frame(np.linspace(low, high, count))
         ways = fan(one, other, around).reshape(-1, 3)
         starts = np.repeat(points, around, axis=0)
-        found = self._queries.rays(starts, ways, FARTHEST_WALL * self._radius)
+        hits = self._queries.rays(starts, ways, FARTHEST_WALL * self._radius)
         # Leave out rays that pass between two facets because of rounding errors.
-        hit = (starts + found[:, None] * ways)[found >= 0]
+        hit = (starts + hits[:, None] * ways)[hits >= 0]
         beside = (hit - self.axis.at(self.axis.length)[0]) @ normal
         return float(self._queries.distances(hit - 2 * beside[:, None] * normal).max(initial=0.0))
 
@@ -239,8 +239,8 @@ class InnerSurface:
         points, _ = self.axis.at(s)
         step = np.diff(points, axis=0)
         length = np.linalg.norm(step, axis=1)
-        found = self._all.rays(points[:-1], step / length[:, None], float(length.max()))
-        hit = (found >= 0) & (found <= length)
+        hits = self._all.rays(points[:-1], step / length[:, None], float(length.max()))
+        hit = (hits >= 0) & (hits <= length)
         if np.any(hit):
             problem = f"is blocked: a surface crosses the axis {s[:-1][hit][0]:.3g} m from its start"
             refuse(field, name, problem, "remove this surface; only flat lids at the two ends are allowed")
@@ -294,8 +294,8 @@ class InnerSurface:
                 nearest = self.axis.nearest(points)
                 apart = np.linalg.norm(points - nearest, axis=1)
                 ways = (points - nearest) / np.maximum(apart, 1e-12)[:, None]
-                found = self._all.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
-                free = (found < 0) | (found > apart - VISIBILITY_TOLERANCE * self._radius)
+                hits = self._all.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
+                free = (hits < 0) | (hits > apart - VISIBILITY_TOLERANCE * self._radius)
                 seen[waiting[free]] = True
                 waiting = waiting[~free]
         return np.flatnonzero(seen)

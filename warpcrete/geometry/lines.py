@@ -175,11 +175,11 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
 
 def _text(given: Mapping[str, object], field: str, default: str) -> str:
     """Return the text in the entry `field` without control characters, or `default` if the entry is missing."""
-    found = given.get(field, default)
-    if isinstance(found, Mapping | list):
+    text = given.get(field, default)
+    if isinstance(text, Mapping | list):
         with errors_located_at(given, field):
-            refuse(field, found, "must be text of one line", "put the text in quotes")
-    return one_line(str(found))
+            refuse(field, text, "must be text of one line", "put the text in quotes")
+    return one_line(str(text))
 
 
 def _pump(given: Mapping[str, object]) -> Pump | None:
@@ -195,10 +195,10 @@ def _above(given: Mapping[str, object], field: str, unit: str) -> float | None:
     if field not in given:
         return None
     with errors_located_at(given, field):
-        found = amount(field, given[field], unit)
-        positive(field, found, unit)
-        check_limit(field, found, unit, LIMITED_AS.get(field, field))
-    return found
+        value = amount(field, given[field], unit)
+        positive(field, value, unit)
+        check_limit(field, value, unit, LIMITED_AS.get(field, field))
+    return value
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the course of the line") -> None:
@@ -211,8 +211,8 @@ def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the cou
         # other along the axis, because such pieces are always close in space. If each leg of a U-turn were a single
         # long piece, the check would also ignore the two legs, however close they are.
         spans.append((part.length, wide, CROSSING_SAMPLES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
-    found = first_crossing(line.axis, spans, gap)
-    if found is None:
+    crossing = first_crossing(line.axis, spans, gap)
+    if crossing is None:
         return
     why = f"come within {gap:.3g} m of each other" if gap else "touch each other: the line crosses itself"
-    refuse("parts", [parts[k].number for k in found], why, hint)
+    refuse("parts", [parts[k].number for k in crossing], why, hint)

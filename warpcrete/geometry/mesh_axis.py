@@ -53,7 +53,7 @@ def _pieces(points: np.ndarray, ahead: np.ndarray, allowed: float) -> tuple[Line
     Each straight piece or pair of arcs spans as many points as this distance allows.
     """
     tangents = directions(points, ahead)
-    found: list[Line | Arc] = []
+    pieces: list[Line | Arc] = []
     here, tangent, position = 0, ahead, points[0]
     last = len(points) - 1
     while here < last:
@@ -66,8 +66,8 @@ def _pieces(points: np.ndarray, ahead: np.ndarray, allowed: float) -> tuple[Line
         axis = Axis(tuple(position.tolist()), tuple(tangent.tolist()), tuple(curve))
         end, way = axis.at(axis.length)
         position, tangent, here = end[0], way[0], reached
-        found += curve
-    return tuple(found)
+        pieces += curve
+    return tuple(pieces)
 
 
 def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
@@ -75,7 +75,7 @@ def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 
     The tangent at the first point is `ahead`.
     """
-    found = np.empty_like(points)
+    tangents = np.empty_like(points)
     count = len(points)
     for k in range(count):
         low, high = max(0, k - WINDOW), min(count, k + WINDOW + 1)
@@ -83,9 +83,9 @@ def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(near, axis=0), axis=1))])
         degree = min(2, len(near) - 1)
         slope = np.polynomial.polynomial.polyfit(along - along[k - low], near, degree)[1]
-        found[k] = slope / np.linalg.norm(slope)
-    found[0] = ahead
-    return found
+        tangents[k] = slope / np.linalg.norm(slope)
+    tangents[0] = ahead
+    return tangents
 
 
 Curve = list[Line | Arc] | None

@@ -80,12 +80,12 @@ def bore_of(
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
     # `_measured` compares the size of the mesh with the required length before it follows the bore, because a mesh in a
     # wrong unit of length could not be followed. `_of_length` compares the exact length afterwards.
-    found = _measured(fields, file, scale, digest, length, tuple(ways))
-    _check_scale(fields[1], scale, found.ends[0])
-    found = _of_length(fields, found, length)
+    bore = _measured(fields, file, scale, digest, length, tuple(ways))
+    _check_scale(fields[1], scale, bore.ends[0])
+    bore = _of_length(fields, bore, length)
     name = str(file)
-    for end, place, which in ((0, 0.0, "begins"), (1, found.axis.length, "ends")):
-        reach = _surface(found, fields[0]).sections(np.array([place]))[0]
+    for end, place, which in ((0, 0.0, "begins"), (1, bore.axis.length, "ends")):
+        reach = _surface(bore, fields[0]).sections(np.array([place]))[0]
         wide = 2 * float(np.sqrt(np.mean(reach**2)))
         if diameters is not None and abs(wide / diameters[end] - 1) > DIAMETER_TOLERANCE:
             unit = scale_hint(fields[1], scale, wide, diameters[end])
@@ -95,7 +95,7 @@ def bore_of(
         if np.any(np.abs(2 * reach / (diameters[end] if diameters else wide) - 1) > ROUNDNESS_TOLERANCE):
             refuse(fields[0], name, f"is not round and centred where it {which}: its wall is {reach.min():.4g} "
                    f"to {reach.max():.4g} m from the axis", "centre the mesh there, or make its end round")  # fmt: skip
-    return found
+    return bore
 
 
 def _check_scale(field: str, scale: float, diameter: float) -> None:
@@ -135,10 +135,10 @@ def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore
     """
     if length is None:
         return bore
-    found, straight = bore.axis.length, _is_straight(bore.axis)
+    axis_length, straight = bore.axis.length, _is_straight(bore.axis)
     near = STRAIGHT_LENGTH_TOLERANCE * min(bore.ends) if straight else MEASURED * length
-    if abs(found - length) > near:
-        problem = f"has an axis of {found:.4g} m, but the part has a length of {length:g} m"
+    if abs(axis_length - length) > near:
+        problem = f"has an axis of {axis_length:.4g} m, but the part has a length of {length:g} m"
         refuse(fields[0], bore.file, problem, "correct 'length' of the part, or leave out 'length'")
     return replace(bore, axis=replace(bore.axis, pieces=(Line(length),))) if straight else bore
 

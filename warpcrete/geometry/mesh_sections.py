@@ -91,8 +91,8 @@ def follow(
     points, radii = _extended_to_end(queries, points, radii, directions(points, ahead))
     _square(queries, points, radii, ahead)
     last = directions(points, ahead)[-1]
-    found = f"can be followed for {_length(list(points)):.4g} m only"
-    _check_open(queries, points[-1], last, radii[-1], field, name, found,
+    problem = f"can be followed for {_length(list(points)):.4g} m only"
+    _check_open(queries, points[-1], last, radii[-1], field, name, problem,
                 "check the mesh there for a hole, a sharp edge, a branch, a plate or a chamber")  # fmt: skip
     return Sections(ahead, points, radii)
 
@@ -105,9 +105,9 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
     for _ in range(TURNING_ROUNDS):
         tangents = directions(points, ahead)
         for k in range(1, len(points)):
-            found = _section(queries, points[k], tangents[k], radii[k])
-            if found is not None and abs(found[1] / radii[k] - 1) <= RADIUS_TOLERANCE:
-                points[k], radii[k] = found
+            section = _section(queries, points[k], tangents[k], radii[k])
+            if section is not None and abs(section[1] / radii[k] - 1) <= RADIUS_TOLERANCE:
+                points[k], radii[k] = section
 
 
 def _extended_to_end(
@@ -119,7 +119,7 @@ def _extended_to_end(
     `tangents` are the directions of the bore at its cross-sections.
     """
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
-    step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
+    step, far, last_section = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > MIN_END_STEP / 4 * radii[-1]:
         way = tangents[-1] + (far + step) * bend
         way = way / np.linalg.norm(way)
@@ -129,13 +129,13 @@ def _extended_to_end(
         if further is None or abs(further[1] / radii[-1] - 1) > RADIUS_TOLERANCE:
             step *= 0.5
         else:
-            found, far = further, far + step
-    if found is None:
+            last_section, far = further, far + step
+    if last_section is None:
         return points, radii
     if far < 0.5 * ADVANCE * radii[-1]:
-        points[-1], radii[-1] = found
+        points[-1], radii[-1] = last_section
         return points, radii
-    return np.concatenate([points, found[0][None]]), np.append(radii, found[1])
+    return np.concatenate([points, last_section[0][None]]), np.append(radii, last_section[1])
 
 
 def _first_direction(
@@ -177,13 +177,13 @@ def _follow_bore(
     points, radii = [start], [radius]
     tangent, step = ahead, ADVANCE
     while len(points) <= MAX_SECTIONS:
-        found = _next_section(queries, points, tangent, step * radii[-1], radii[-1])
-        if found is None:
+        section = _next_section(queries, points, tangent, step * radii[-1], radii[-1])
+        if section is None:
             step *= 0.5
             if step < MIN_ADVANCE:
                 break
             continue
-        middle, wide, tangent = found
+        middle, wide, tangent = section
         if wide > OPENING_RATIO * radii[-1]:
             problem = f"opens to the side {_length(points):.3g} m from its start"
             refuse(field, name, problem, "close the opening in the side, because a bore has one inlet and one outlet")
@@ -215,18 +215,18 @@ def _next_section(
     is displaced from the axis by up to the radius times the slope of the wall. The iteration therefore converges only
     if each repetition turns the cross-section by a fraction of the remaining angle.
     """
-    way, found = tangent, None
+    way, section = tangent, None
     place = points[-1] + step * tangent
     for _ in range(MAX_ROTATIONS):
-        found = _section(queries, place, way, radius)
-        if found is None or not 0.5 * step < (found[0] - points[-1]) @ tangent < 1.5 * step:
+        section = _section(queries, place, way, radius)
+        if section is None or not 0.5 * step < (section[0] - points[-1]) @ tangent < 1.5 * step:
             return None
-        way = way + ROTATION_FRACTION * (_slope(points, found[0], 0.9 * ADVANCE * radius, tangent) - way)
+        way = way + ROTATION_FRACTION * (_slope(points, section[0], 0.9 * ADVANCE * radius, tangent) - way)
         way = way / np.linalg.norm(way)
-        place = found[0]
-    if found is None or way @ tangent < np.cos(MAX_TURN_PER_STEP):
+        place = section[0]
+    if section is None or way @ tangent < np.cos(MAX_TURN_PER_STEP):
         return None
-    return found[0], found[1], way
+    return section[0], section[1], way
 
 
 def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np.ndarray) -> np.ndarray:

@@ -200,8 +200,8 @@ def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.nd
     if isinstance(wall, PipeWall):
         return apart <= wall.radius
     outward = (points - nearest) / np.maximum(apart, 1e-12)[:, None]
-    found = rays(wall, nearest, outward, float(apart.max(initial=1e-12)) * 1.001)
-    return (found < 0) | (found >= apart)
+    hits = rays(wall, nearest, outward, float(apart.max(initial=1e-12)) * 1.001)
+    return (hits < 0) | (hits >= apart)
 
 
 def faces_at(mesh: Any, points: np.ndarray, reach: float) -> np.ndarray:
@@ -260,13 +260,13 @@ class SurfaceQueries:
         The directions lie in planes spanned by the unit vectors `normal` and `side`, shape (n, 3) each. The distance is
         -1 where there is no wall within `reach` [m].
         """
-        found = self._fan(points, normal, side, count, reach, FAN_ROTATION)
-        if np.any(found < 0):
+        distances = self._fan(points, normal, side, count, reach, FAN_ROTATION)
+        if np.any(distances < 0):
             # A ray along the edge between two facets may miss both, so repeat the search with slightly rotated rays.
-            found = np.where(
-                found < 0, self._fan(points, normal, side, count, reach, FAN_ROTATION + RETRY_ROTATION), found
+            distances = np.where(
+                distances < 0, self._fan(points, normal, side, count, reach, FAN_ROTATION + RETRY_ROTATION), distances
             )
-        return found
+        return distances
 
     def _fan(
         self, points: np.ndarray, normal: np.ndarray, side: np.ndarray, count: int, reach: float, turned: float

@@ -35,8 +35,8 @@ def parameters_from_line(values: Mapping[str, object]) -> SceneArguments:
         return {}
     given, _ = line_file(values["line"])
     with errors_located_at(given, "flow"):
-        found = {"flow": amount("flow", given["flow"], "m3/s")} if "flow" in given else {}
-    return found | ({"concrete": str(given["concrete"])} if "concrete" in given else {})
+        parameters = {"flow": amount("flow", given["flow"], "m3/s")} if "flow" in given else {}
+    return parameters | ({"concrete": str(given["concrete"])} if "concrete" in given else {})
 
 
 def parameters_from_mesh(values: Mapping[str, object], ways: Sequence[Way] = WAYS) -> SceneArguments:

@@ -163,11 +163,11 @@ class PipeLine:
 
     def remarks(self) -> list[str]:
         """Return warnings for the user about the pipeline, for example about stones that may block a narrow part."""
-        found = []
+        texts = []
         narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:
             stone, bore = (both(self.customary, "mm", size) for size in (self.largest_stone, narrow))
-            found.append(
+            texts.append(
                 f"stones of {stone} in a bore of {bore} may block: the bore is narrower than {BLOCKING_RATIO:g} of them"
             )
-        return found
+        return texts

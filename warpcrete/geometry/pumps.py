@@ -38,18 +38,18 @@ def pump_of(given: object) -> Pump:
     Raises :class:`SceneError` for a wrong key or value, or if there is no pressure.
     """
     entries = given if isinstance(given, Mapping) else {"pressure": given}
-    found = {}
+    amounts = {}
     for key, value in entries.items():
         with errors_located_at(entries, key):
             one_of("pump's key", key, PUMP)
             called, unit = f"pump {key}", PUMP[key][0]
-            found[key] = amount(called, value, unit)
-            positive(called, found[key], unit)
-            if key == "pressure" and found[key] < WEAKEST:
+            amounts[key] = amount(called, value, unit)
+            positive(called, amounts[key], unit)
+            if key == "pressure" and amounts[key] < WEAKEST:
                 problem = f"must be at least {WEAKEST:g} Pa; concrete pumps deliver 30 to 400 bar"
-                refuse(called, found[key], problem, "write the unit, for example '70 bar'")
-            check_limit(called, found[key], unit, key)
-    if "pressure" not in found:
+                refuse(called, amounts[key], problem, "write the unit, for example '70 bar'")
+            check_limit(called, amounts[key], unit, key)
+    if "pressure" not in amounts:
         hint = "add the largest pressure from the data sheet, for example 'pressure: 85 bar'"
         refuse("pump", dict(entries), "has no 'pressure'", hint)
-    return Pump(**found)
+    return Pump(**amounts)

@@ -52,7 +52,7 @@ def _edges(polygon: Sequence[Sequence[float]]) -> np.ndarray:
 
 def _levels(edges: np.ndarray) -> np.ndarray:
     """Return the heights y [m] of all corners of the given polygon edges, and of all crossings between the edges."""
-    found = list(edges[..., 1].ravel())
+    heights = list(edges[..., 1].ravel())
     for (a, b), (c, d) in combinations(edges, 2):
         one, two = b - a, d - c
         turn = one[0] * two[1] - one[1] * two[0]
@@ -60,8 +60,8 @@ def _levels(edges: np.ndarray) -> np.ndarray:
             along = ((c - a)[0] * two[1] - (c - a)[1] * two[0]) / turn
             other = ((c - a)[0] * one[1] - (c - a)[1] * one[0]) / turn
             if 0.0 <= along <= 1.0 and 0.0 <= other <= 1.0:
-                found.append(float(a[1] + along * one[1]))
-    return np.array(found)
+                heights.append(float(a[1] + along * one[1]))
+    return np.array(heights)
 
 
 def _crossings(edges: np.ndarray, y: float) -> np.ndarray:

@@ -120,19 +120,19 @@ def blocking_rules(
     the result contains only the rule that compares the stone with the bore. The verdicts also state amounts in US units
     if `customary` is true, or if the mix is described in US units.
     """
-    found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix, customary)]
+    verdicts = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix, customary)]
     if mix is not None:
-        found += [powder(mix), paste(mix), sand_share(mix), fine_sand(mix), bleeding(mix), slump(mix)]
-        found += lightweight(mix)
-    return found
+        verdicts += [powder(mix), paste(mix), sand_share(mix), fine_sand(mix), bleeding(mix), slump(mix)]
+        verdicts += lightweight(mix)
+    return verdicts
 
 
 def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
     """Return the verdicts of all rules on a mix in a pump line: at its narrowest bore, and behind its reducers."""
     if mix is not None and line.customary:
         mix = replace(mix, customary=True)
-    found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone, line.customary)
-    return [*found, *behind_reducers(line)]
+    verdicts = blocking_rules(mix, narrowest(line).narrow, line.largest_stone, line.customary)
+    return [*verdicts, *behind_reducers(line)]
 
 
 def narrowest(line: PipeLine) -> Part:

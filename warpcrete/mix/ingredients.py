@@ -322,14 +322,14 @@ def density_of(name: str) -> float | None:
     Sand or gravel of a heavy rock, such as "barite sand", has the density of this rock. An unknown name causes a
     warning. Raises :class:`SceneError` for a name that is probably misspelt.
     """
-    if (found := _density(name, DENSITIES["gravel"])) is not None or any(word in VARIABLE for word in _words(name)):
-        return found
+    if (density := _density(name, DENSITIES["gravel"])) is not None or any(word in VARIABLE for word in _words(name)):
+        return density
     if re.fullmatch(r"[A-Za-z]{1,2}", name.strip()):
         hint = "write the name, such as 'cement', 'fly ash', 'water', 'sand' or 'gravel'"
         refuse("mix parts", name, "is an abbreviation that is not known", hint)
-    meant = suggested(name, DENSITIES)
-    if meant:
-        refuse("mix parts", name, "is not a known ingredient", meant)
+    suggestion = suggested(name, DENSITIES)
+    if suggestion:
+        refuse("mix parts", name, "is not a known ingredient", suggestion)
     warn(
         f"mix parts: {quoted(name)} is not a known ingredient: it is taken neither for powder nor for aggregate, and "
         "the total volume cannot be checked; use a name such as 'cement', 'sand', 'gravel' or 'superplasticizer'"

@@ -217,13 +217,13 @@ def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
 
     Its uncertainty band covers both the error of the fit and the usual error of this kind of measurement.
     """
-    found = []
+    figures = []
     for name, value, error, unit in (
         ("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
         ("slip yield", fit.offset, fit.offset_error, "Pa"),
     ):
         line = of_line(name, value, line_uncertainty(error, count, value, 0.0), unit, way, count)
         low, high = _factors(None, pipe)
-        found.append(Figure(name, value, min(line.low, low * value), max(line.high, high * value), unit, way,
+        figures.append(Figure(name, value, min(line.low, low * value), max(line.high, high * value), unit, way,
                             f"straight line{_SOURCES[pipe]}"))  # fmt: skip
-    return found[0], found[1]
+    return figures[0], figures[1]

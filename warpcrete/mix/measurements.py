@@ -125,26 +125,26 @@ def read_layer(given: object, folder: Path) -> Layer:
         for key in given:
             with errors_located_at(given, key):
                 one_of("mix layer: key", key, ("points", "diameter", "length", "rise"))
-        found = {}
+        lengths = {}
         for key in ("diameter", "length"):
             if key not in given:
                 example = f"for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'"
                 raise SceneError(
                     f"mix layer: {key}: is missing; add the {key} of the pipe with the measured points, {example}"
                 )
-            found[key] = amount(f"mix layer: {key}", given[key], "m")
-            positive(f"mix layer: {key}", found[key], "m")
-            check_limit(f"mix layer: {key}", found[key], "m", key)
-        found["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
+            lengths[key] = amount(f"mix layer: {key}", given[key], "m")
+            positive(f"mix layer: {key}", lengths[key], "m")
+            check_limit(f"mix layer: {key}", lengths[key], "m", key)
+        lengths["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
         between(
             "mix layer: rise",
-            found["rise"],
-            -found["length"],
-            found["length"],
+            lengths["rise"],
+            -lengths["length"],
+            lengths["length"],
             "m",
             "'rise' is the height of the pipe's end above its start",
         )
-        return Layer(pipe_points=read_pairs("layer: points", given["points"], PUMPED, folder), **found)
+        return Layer(pipe_points=read_pairs("layer: points", given["points"], PUMPED, folder), **lengths)
     if "tribometer" in given:
         for key in given:
             one_of("mix layer: key", key, ("tribometer",))

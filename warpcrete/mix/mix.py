@@ -117,15 +117,15 @@ class Mix:
         their best values. A cause whose bands have no width is left out. The causes that concern the bulk are also left
         out if the layer was fitted to a trial line.
         """
-        found = {}
+        pairs = {}
         for cause, keys in CAUSES.items():
             if cause in BULK and self.given.layer.is_of_this_delivery:
                 continue
             ends = [{key: getattr(self[FLOW[key]], end) for key in keys} for end in ("low", "high")]
             if ends[0] != ends[1]:
                 low, high = (scaled(replace(self._plain, **end), *self.factors) for end in ends)
-                found[cause] = (low, high)
-        return found
+                pairs[cause] = (low, high)
+        return pairs
 
     @property
     def layer_yields(self) -> tuple[float, float] | None:
@@ -176,14 +176,14 @@ class Mix:
 
         This section needs neither density nor slip layer, because they follow from the section `flow`.
         """
-        given, found = self.given, {}
+        given, entries = self.given, {}
         if given.sieve is not None:
-            found["sizes"] = ",".join(f"{1e3 * opening:.6g}:{passing:.6g}" for opening, passing in given.sieve)
+            entries["sizes"] = ",".join(f"{1e3 * opening:.6g}:{passing:.6g}" for opening, passing in given.sieve)
         elif given.sizes is not None:
-            found |= {"size_min": given.sizes[0], "size_max": given.sizes[1]}
+            entries |= {"size_min": given.sizes[0], "size_max": given.sizes[1]}
         if given.shape is not None:
-            found["shapes"] = given.shape
-        return found
+            entries["shapes"] = given.shape
+        return entries
 
     @property
     def aggregates(self) -> dict[str, float]:
@@ -202,20 +202,20 @@ class Mix:
 
         The last rows describe the aggregate's share, sizes and shape.
         """
-        found = []
+        table = []
         for each in self.figures:
             band = f"{short(each.low)} to {short(each.high)}" if each.low < each.high else ""
-            found.append((each.name, f"{each.value:.4g}", each.unit, band, each.way, each.source))
+            table.append((each.name, f"{each.value:.4g}", each.unit, band, each.way, each.source))
         given = self.given
         if given.share is not None:
-            found.append(("aggregate", f"{given.share:.4g}", "of the volume", "", "aggregate",
+            table.append(("aggregate", f"{given.share:.4g}", "of the volume", "", "aggregate",
                           f"{given.aggregate_density:g} kg/m3"))  # fmt: skip
         for name, value in self.elements.items():
-            found.append((name, f"{value:g}" if isinstance(value, float) else value,
+            table.append((name, f"{value:g}" if isinstance(value, float) else value,
                           "m" if name.startswith("size_") else "mm:passing" if name == "sizes" else "", "",
                           "shape" if name == "shapes" else "sieve" if given.sieve else "sizes",
                           "as simulated with discrete elements"))  # fmt: skip
-        return [dict(zip(COLUMNS, row, strict=True)) for row in found]
+        return [dict(zip(COLUMNS, row, strict=True)) for row in table]
 
     def table(self) -> Any:
         """Return the properties as a pandas DataFrame in SI units, with the name of the quantity as index.
@@ -240,10 +240,10 @@ def read_mix(name: Path | str) -> Mix:
 
     Raises :class:`SceneError` if the mix contradicts itself or does not determine the concrete.
     """
-    found = mix_in(concrete(str(name)))
-    if found is None:
+    mix = mix_in(concrete(str(name)))
+    if mix is None:
         refuse("mix", str(name), "has no section 'mix'", "'warpcrete mix --help' shows an example")
-    return found
+    return mix
 
 
 def mix_named(name: str) -> Mix | None:
@@ -297,16 +297,16 @@ def mix_of(
     calculated constants. Raises :class:`SceneError` if the entries contradict each other or do not determine the yield
     stress.
     """
-    told = read(given, folder)
-    way = "sum of the parts" if told.summed else "density"
-    error = DENSITY_TOLERANCE if told.summed else WEIGHING
-    bulk = {"density": around("density", told.density, error, "kg/m3", way, "as given")}
+    entries = read(given, folder)
+    way = "sum of the parts" if entries.summed else "density"
+    error = DENSITY_TOLERANCE if entries.summed else WEIGHING
+    bulk = {"density": around("density", entries.density, error, "kg/m3", way, "as given")}
     bulk |= {_named(key, value).name: _named(key, value) for key, value in (stated or {}).items()}
-    laws = _laws(told, bulk)
+    laws = _laws(entries, bulk)
     thickens = {key: laws[name].value for key, name in LAWS.items() if name in laws}
     bends = any(key in thickens for key in ("flow_index", "quadratic_viscosity"))
     remarks = []
-    for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
+    for wanted, candidates in (("yield stress", yield_stresses(entries)), ("viscosity", viscosities(entries))):
         tells = list(candidates) if wanted not in bulk else []
         if wanted == "viscosity" and bends:
             # Slump flow and the straight line through a viscometer's points determine the viscosity of a Bingham fluid
@@ -323,44 +323,44 @@ def mix_of(
     if "yield stress" not in bulk:
         hint = "add a measurement: 'spread', 'slump', 'viscometer', 'mortar' or 'concrete'"
         refuse("mix", ", ".join(given), "contains no entry from which the yield stress of the concrete follows", hint)
-    bulk.setdefault("viscosity", unknown_viscosity(told))
+    bulk.setdefault("viscosity", unknown_viscosity(entries))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
         yield_stress=bulk["yield stress"].value, slip_viscosity=1.0, slip_yield=0.0, **thickens,
     )  # fmt: skip
-    first, *others = layers(told, fluid, bulk["viscosity"])
+    first, *others = layers(entries, fluid, bulk["viscosity"])
     slip = {figure.name: figure for figure in first} | bulk
     others = tuple(pair for pair in others if pair[0].way != ASSUMPTION)
     remarks += [f"another estimate of the slip viscosity: {each.span} from {each.way}" for each, _ in others]
     figures = [*(slip[each] for each in FLOW.values()), *laws.values()]
-    if told.layer.contradicted:
+    if entries.layer.contradicted:
         remarks.append(GAUGES_CONTRADICT)
-    if told.sand_and_stone is not None and given.get("air") is None:
-        left = both(told.customary, "l/m3", told.sand_and_stone, digits=3)
+    if entries.sand_and_stone is not None and given.get("air") is None:
+        left = both(entries.customary, "l/m3", entries.sand_and_stone, digits=3)
         remarks.append(
             f"the mix states no air content: {100 * USUAL_AIR:g} % is assumed, which leaves {left} for sand "
             "and stones; state it as in 'air: 2 %'"
         )
-    if told.sieve is None and told.sizes is None:
+    if entries.sieve is None and entries.sizes is None:
         remarks.append(
             "the mix has no sieve curve: simulations with discrete elements use the sizes that the scene "
             "states, by default 5 to 20 mm"
         )
-    return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks), others)
+    return Mix(name, source, entries, (*figures, *mortar(entries, fluid, bulk)), tuple(remarks), others)
 
 
-def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
+def _laws(entries: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
     """Return the stated constants of flow laws other than Bingham's, by the name of the property."""
-    found = {}
-    slip = told.layer.constants.values if told.layer.constants is not None else {}
+    figures = {}
+    slip = entries.layer.constants.values if entries.layer.constants is not None else {}
     for key, name in LAWS.items():
-        part, own = ("layer", slip) if key.startswith("slip_") else ("concrete", told.concrete.values)
+        part, own = ("layer", slip) if key.startswith("slip_") else ("concrete", entries.concrete.values)
         entry = key.removeprefix("slip_")
         if name in bulk:
-            found[name] = bulk[name]
+            figures[name] = bulk[name]
         elif entry in own:
-            found[name] = Figure(name, own[entry], own[entry], own[entry], UNITS[key], part, "as given")
-    return found
+            figures[name] = Figure(name, own[entry], own[entry], own[entry], UNITS[key], part, "as given")
+    return figures
 
 
 def _named(key: str, value: object) -> Figure:
@@ -371,12 +371,12 @@ def _named(key: str, value: object) -> Figure:
 
 def _flow_amount(key: str, value: object) -> float:
     """Return the entry `key` of the section `flow` of a concrete's file as a number in its SI unit, after checks."""
-    found = amount(f"concrete flow {key}", value, UNITS[key])
+    number = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
-        between(f"concrete flow {key}", found, 0, math.inf, UNITS[key])
+        between(f"concrete flow {key}", number, 0, math.inf, UNITS[key])
     else:
-        positive(f"concrete flow {key}", found, UNITS[key])
-    return found
+        positive(f"concrete flow {key}", number, UNITS[key])
+    return number
 
 
 def flow_amounts(found: NamedConcrete) -> dict[str, float]:
@@ -397,9 +397,9 @@ def completed(name: str) -> NamedConcrete:
     Entries that the concrete's own file states take precedence over entries that follow from its mix. Entries from the
     mix take precedence over entries of the concrete on which the file is based.
     """
-    found = concrete(name)
-    mix = mix_in(found)
-    if found.mix is None or mix is None:
-        return found
-    elements = merged(found.elements, mix.elements, found.mix.elements)
-    return replace(found, elements=elements, flow=merged(found.flow, mix.flow))
+    known_concrete = concrete(name)
+    mix = mix_in(known_concrete)
+    if known_concrete.mix is None or mix is None:
+        return known_concrete
+    elements = merged(known_concrete.elements, mix.elements, known_concrete.mix.elements)
+    return replace(known_concrete, elements=elements, flow=merged(known_concrete.flow, mix.flow))

@@ -19,7 +19,7 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
     file, for error messages. Raises :class:`SceneError` for a missing column or a number that is not positive.
     """
     places, rows = read_columns(path, field)
-    found = []
+    columns_read = []
     for name, unit in columns.items():
         if name not in places:
             example = (
@@ -29,12 +29,12 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
             )
             refuse(field, str(path), f"has no column {name!r}", f"write the first line in the form '{example}'")
         place, own = places[name]
-        found.append([])
+        columns_read.append([])
         for line, row in rows:
             each = f"{path.name}, line {line}: {name}"
             cell = row[place].strip()
             value = amount(each, cell if is_amount(cell, unit) else f"{cell} {own}".strip(), unit)
             positive(each, value, unit, "leave out points without flow")
             check_limit(each, value, unit, name)
-            found[-1].append(value)
-    return found
+            columns_read[-1].append(value)
+    return columns_read

@@ -166,7 +166,7 @@ def _named_sizes(given: Mapping[str, object], masses: Mapping[str, float]) -> tu
                 f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or state "
                 "the sizes of the stones as 'sizes'"
             )
-    sizes = [found for name in stones if (found := named_sizes(name)) is not None]
+    sizes = [span for name in stones if (span := named_sizes(name)) is not None]
     return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 
 
@@ -185,19 +185,20 @@ def _paste_solids(given: Mapping[str, object], masses: Mapping[str, float]) -> f
     """Return the volume fraction of powder in the paste, from the ingredients or from the ratio of water to binder."""
     ratio = _number(given, "water_binder")
     powder, liquid = paste_volumes(masses)
-    found = powder / (powder + liquid) if powder > 0 and liquid > 0 else None
-    if found is not None and found > DENSEST_PASTE:
+    fraction = powder / (powder + liquid) if powder > 0 and liquid > 0 else None
+    if fraction is not None and fraction > DENSEST_PASTE:
         refuse("mix parts", f"{water_mass(masses):.4g} kg/m3 of water", "is too little for the powder: "
-               f"{100 * found:.3g} % of the paste would be solid, and {100 * DENSEST_PASTE:g} % is the most that flows",
+               f"{100 * fraction:.3g} % of the paste would be solid, and {100 * DENSEST_PASTE:g} % is the most that "
+               "flows",
                "check the amount of water and its unit")  # fmt: skip
     if ratio is None:
-        return found
+        return fraction
     stated = 1 / (1 + ratio * BINDER / 1000)
-    if found is not None and abs(stated - found) > PASTE_TOLERANCE:
+    if fraction is not None and abs(stated - fraction) > PASTE_TOLERANCE:
         refuse("mix water_binder", ratio, f"contradicts 'parts': it means {stated:.3f} m3 of powder in a cubic metre "
-               f"of paste, but the ingredients give {found:.3f} m3",
+               f"of paste, but the ingredients give {fraction:.3f} m3",
                "leave out 'water_binder', which follows from 'parts'")  # fmt: skip
-    return found or stated
+    return fraction or stated
 
 
 def _sand_and_stone(given: Mapping[str, object], masses: Mapping[str, float]) -> float | None:
@@ -247,9 +248,9 @@ def _number(given: Mapping[str, object], name: str) -> float | None:
     entry = NUMBERS[name]
     with errors_located_at(given, name):
         _check_single(name, given[name])
-        found = amount(f"mix {name}", given[name], entry.unit)
-        between(f"mix {name}", found, entry.low, entry.high, entry.unit, entry.hint)
-    return found
+        number = amount(f"mix {name}", given[name], entry.unit)
+        between(f"mix {name}", number, entry.low, entry.high, entry.unit, entry.hint)
+    return number
 
 
 def _check_ingredient(name: str, value: object) -> None:
@@ -341,18 +342,18 @@ def _by_volume(parts: Mapping[str, object], load: float | None) -> dict[str, Any
     amount is converted only if the mass of this material is known; other texts stay as they are. `load` is the volume
     of the concrete in which the ingredients are contained [m3], or None for a cubic metre.
     """
-    dosed = {name: found for name, value in parts.items()
-             if isinstance(value, str) and (found := PER_BINDER.fullmatch(value.strip()))}  # fmt: skip
-    found, binder = dict(parts), 0.0
+    dosed = {name: ingredients for name, value in parts.items()
+             if isinstance(value, str) and (ingredients := PER_BINDER.fullmatch(value.strip()))}  # fmt: skip
+    ingredients, binder = dict(parts), 0.0
     for name, value in parts.items() if dosed else ():
         if is_cementitious(str(name)):
             with errors_located_at(parts, name):
                 binder += mass_per_volume(str(name), value, load)
     pounds = binder / amount("binder", "1 lb/yd3", "kg/m3")
     if binder > 0:
-        found |= {name: f"{float(text[1]) * pounds / 100:.6g} oz/yd3" if text[2] else
+        ingredients |= {name: f"{float(text[1]) * pounds / 100:.6g} oz/yd3" if text[2] else
                   f"{float(text[1]) * binder / 100:.6g} ml/m3" for name, text in dosed.items()}  # fmt: skip
-    return found
+    return ingredients
 
 
 def _share(given: object, heavy: float, unusual: str | None) -> float:
@@ -370,17 +371,17 @@ def _share(given: object, heavy: float, unusual: str | None) -> float:
             "add 'aggregate_density', as in 'aggregate_density: 1250 kg/m3', or state a share of the volume",
         )
     if is_amount(given, "kg/m3"):
-        found = amount("mix aggregate", given, "kg/m3") / heavy
+        share = amount("mix aggregate", given, "kg/m3") / heavy
     else:
-        found = amount("mix aggregate", given, "m3/m3")
-        if found > 1:
+        share = amount("mix aggregate", given, "m3/m3")
+        if share > 1:
             problem = "must be a share of the volume below 1, or an amount with a unit"
             refuse("mix aggregate", given, problem, "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")
-    positive("mix aggregate", found)
-    if found >= PACKING:
-        problem = f"is {found:.3g} of the volume, more than the share {PACKING} that loosely packed stones fill"
+    positive("mix aggregate", share)
+    if share >= PACKING:
+        problem = f"is {share:.3g} of the volume, more than the share {PACKING} that loosely packed stones fill"
         refuse("mix aggregate", given, problem, "give the coarse aggregate without sand")
-    return found
+    return share
 
 
 def _check_share(stated: object, share: float, masses: Mapping[str, float], heavy: float) -> None:

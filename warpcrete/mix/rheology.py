@@ -135,9 +135,9 @@ def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> li
 
     The result is empty if the volume fraction of the coarse aggregate is unknown.
     """
-    found = []
+    figures = []
     if given.share is None:
-        return found
+        return figures
     for name, key, unit, place in (("viscosity", "viscosity", "Pa s", 0), ("yield stress", "yield_stress", "Pa", 1)):
         own = _mortar(given, key, unit)
         if own is None:
@@ -149,10 +149,10 @@ def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> li
             own = Figure("", whole.value / value, whole.low / most, whole.high / least, unit,
                          f"{name} of the concrete, share {given.share:.3g} of aggregate",
                          "Krieger & Dougherty 1959; Chateau, Ovarlez & Trung 2008")  # fmt: skip
-        found.append(replace(own, name=f"mortar's {name}"))
+        figures.append(replace(own, name=f"mortar's {name}"))
     rest = (concrete.density - given.share * given.aggregate_density) / (1 - given.share)
     density = around("mortar's density", rest, 0.03, "kg/m3", "density and aggregate", "remaining volume")
-    return [density, *found]
+    return [density, *figures]
 
 
 def _stated(given: Measured, key: str, unit: str, way: str) -> Iterator[Figure]:

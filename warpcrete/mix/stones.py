@@ -60,8 +60,8 @@ def size_numbers(name: str) -> list[str]:
     A number with a mark, such as '#58', is included even if ASTM C33 has no such number.
     """
     name = BLEND.sub(_marked_twice, name)
-    plain = (f"#{found}" for found in UNMARKED.findall(name))
-    return [*(f"#{found}" for found in MARKED.findall(name)), *(each for each in plain if each in SIZE_NUMBERS)]
+    plain = (f"#{digits}" for digits in UNMARKED.findall(name))
+    return [*(f"#{digits}" for digits in MARKED.findall(name)), *(each for each in plain if each in SIZE_NUMBERS)]
 
 
 def _marked_twice(blend: re.Match[str]) -> str:
@@ -85,10 +85,10 @@ def sizes_with_unit(name: str) -> tuple[float, float] | None:
     result is None if the name states no size with a unit.
     """
     name = " ".join(name.lower().split())
-    ranges = [found for texts in RANGE.findall(name) if (found := _range(*texts)) is not None]
+    ranges = [span for texts in RANGE.findall(name) if (span := _range(*texts)) is not None]
     if ranges:
         return min(low for low, _ in ranges), max(high for _, high in ranges)
-    texts = [found[0] for found in LARGEST.finditer(name) if is_amount(found[0], "m")]
+    texts = [span[0] for span in LARGEST.finditer(name) if is_amount(span[0], "m")]
     sizes = [size for each in texts if 2 * SMALLEST <= (size := amount("mix parts", each, "m")) <= COARSEST]
     return (SMALLEST, max(sizes)) if sizes else None
 
@@ -126,9 +126,9 @@ def named_sizes(name: str) -> tuple[float, float] | None:
     """
     if (stated := sizes_with_unit(name)) is not None:
         return stated
-    found = [SIZE_NUMBERS[number] for number in size_numbers(name) if number in SIZE_NUMBERS]
-    if found:
-        return min(low for low, _ in found), max(high for _, high in found)
+    sizes = [SIZE_NUMBERS[number] for number in size_numbers(name) if number in SIZE_NUMBERS]
+    if sizes:
+        return min(low for low, _ in sizes), max(high for _, high in sizes)
     if (sieves := SIEVES.search(name)) is not None:
         low, high = (1e-3 * float(each.replace(",", ".")) for each in sieves.groups())
         return _possible(low, high)
@@ -198,8 +198,8 @@ def read_sizes(given: object) -> tuple[float, float]:
     if given is None:
         hint = "write '20 mm', or put a size number of ASTM C33 in quotes, as in '#57', because # starts a comment"
         refuse("mix sizes", given, "is empty", hint)
-    if isinstance(given, str) and (found := sizes_by_number("mix sizes", given)) is not None:
-        return found
+    if isinstance(given, str) and (sizes := sizes_by_number("mix sizes", given)) is not None:
+        return sizes
     if isinstance(given, str | int | float) and not isinstance(given, bool):
         if ends := re.fullmatch(r"([0-9.]+)\s*(?:-|\u2013|/|to)\s*([0-9.]+)\s*mm", str(given).strip()):
             refuse("mix sizes", given, "is a range", f"write [{ends[1]} mm, {ends[2]} mm]")

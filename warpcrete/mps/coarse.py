@@ -57,14 +57,14 @@ class CoarseGrid:
         Each entry of the first dimension belongs to one offset from the cube, which is -1, 0 or 1 along each axis; the
         offset along the first axis varies fastest. If the grid ends before the cube at an offset, the index is -1.
         """
-        axes, found = len(self.cells), []
+        axes, columns = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)
         for step in np.ndindex((3,) * axes):
             beside = at + np.array(step[::-1]) - 1
             inside = np.all((beside >= 0) & (beside < self.cells), axis=1)
             number = np.ravel_multi_index(tuple(np.clip(beside, 0, np.array(self.cells) - 1).T), self.cells, order="F")
-            found.append(np.where(inside, number, -1))
-        return np.stack(found).astype(np.int32)
+            columns.append(np.where(inside, number, -1))
+        return np.stack(columns).astype(np.int32)
 
     def gather(self, places: np.ndarray) -> None:
         """Assign the particles at `places` [m], shape (n, axes), to the cubes of the grid, and sort them by cube."""

@@ -305,7 +305,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     )
     pressure, slip, wall = (result[f"{name}_error"] for name in ("pressure", "slip_velocity", "wall_stress"))
     balance = result["force_balance_error"]
-    found = {
+    checks = {
         "pressure": (abs(pressure) < limit, f"{100 * pressure:+.2f} % off theory"),
         "wall's stress": (abs(wall) < wall_limit, f"{100 * wall:+.2f} % off theory"),
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
@@ -314,7 +314,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     # The closed forms assume the same yield stress everywhere, but the yield stress of thixotropic concrete varies with
     # its structure. Pressure and wall stress are therefore not compared with the closed forms.
     if scene.is_structured:
-        found = {name: found[name] for name in ("volume", "balance of forces")}
+        checks = {name: checks[name] for name in ("volume", "balance of forces")}
     # The limits for the pressure at the restart assume that the yield stress is largest directly after the rest. This
     # does not hold if thixotropic structure also rebuilds while the concrete flows, so the check is skipped then.
     if scene.gained and not scene.rebuild_rate:
@@ -327,7 +327,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
             <= after_rest(scene.concrete, scene.rest, scene.thixotropy).yield_stress
         )
         left = 0.5 * math.exp(-scene.velocity * float(run.series["time"][1]) / scene.breakdown) if plug else 0.0
-        found["restart"] = (
+        checks["restart"] = (
             (least + left * (most - least)) * (1 - limit) < peak < most * (1 + limit),
             f"{peak / 1e3:.4g} kPa; theory: {least / 1e3:.4g} kPa without thixotropic structure, {most / 1e3:.4g} kPa "
             "for a plug with unbroken structure",
@@ -335,14 +335,14 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     # A run whose scene states a duration may end before the flow is steady, which is no failure. Only other runs must
     # become steady.
     if scene.duration is None:
-        found = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **found}
+        checks = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **checks}
     if not two and not scene.is_structured:
-        found["slip velocity"] = (abs(slip) < limit, f"off theory by {100 * slip:+.2f} % of the mean velocity")
-        found["profile"] = (
+        checks["slip velocity"] = (abs(slip) < limit, f"off theory by {100 * slip:+.2f} % of the mean velocity")
+        checks["profile"] = (
             result["profile_error"] < profile_limit,
             f"rms deviation {100 * result['profile_error']:.2f} % of the mean velocity",
         )
-    return found
+    return checks
 
 
 def plug_restart_state(scene: FluidScene) -> Steady:
@@ -382,7 +382,7 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, SceneArgument
     same = {"ends": column_scene("variants", dimensions, given).ends} if given.ends == "auto" else {}
     flow = FLOW if given.flow is None else given.flow
     wider = {"diameter": 1.5 * given.diameter, "length": 1.5 * given.length, "flow": 2.25 * flow}
-    found: dict[str, Record] = {
+    variants: dict[str, Record] = {
         "a fifth of the flow": {"flow": flow / 5},
         "twice the flow": {"flow": 2 * flow},
         "a pipe 1.5 times as wide": wider,
@@ -390,9 +390,9 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, SceneArgument
     }
     if given.concrete in MIXES:
         own = dict.fromkeys(CONSTANTS)
-        found |= {f"concrete {name}": own | {"concrete": name} for name in MIXES if name != given.concrete}
-    found["a concrete that shears"] = SHEARED
-    return {name: changes | same for name, changes in found.items()}
+        variants |= {f"concrete {name}": own | {"concrete": name} for name in MIXES if name != given.concrete}
+    variants["a concrete that shears"] = SHEARED
+    return {name: changes | same for name, changes in variants.items()}
 
 
 def _knobs(given: FlowParameters, dimensions: int) -> Iterator[Knob]:

@@ -46,17 +46,17 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
     places, spacing = layout.fluid, layout.spacing
     n, dimensions = places.shape
     owner = np.full(n, -1, np.int32)
-    wanted = aggregates.fraction * n
+    target = aggregates.fraction * n
     members: list[np.ndarray] = []
     total = sum(fraction for _, _, fraction in aggregates.sizes)
     if total <= 0:
         refuse("sizes", aggregates.sizes, "must contain at least one size with a share above 0")
-    taken = 0
+    particles = 0
     rim_width = 1.05 * spacing if dimensions == 2 else 0.0
     for number, (smallest, largest, _) in enumerate(sorted(aggregates.sizes, key=lambda c: -c[1])):
-        goal = wanted * sum(c[2] for c in sorted(aggregates.sizes, key=lambda c: -c[1])[: number + 1]) / total
+        goal = target * sum(c[2] for c in sorted(aggregates.sizes, key=lambda c: -c[1])[: number + 1]) / total
         misses = 0
-        while taken < goal - 0.5 and misses < 4000:
+        while particles < goal - 0.5 and misses < 4000:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
@@ -76,11 +76,13 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
                 continue
             owner[inside] = len(members)
             members.append(inside)
-            taken += len(inside)
+            particles += len(inside)
             misses = 0
-        if taken < goal - max(0.02 * wanted, 0.6 * (largest / spacing) ** dimensions):
-            found = f"does not fit at a spacing of {spacing:g} m: only the volume fraction {taken / n:.3g} was placed"
-            refuse("aggregate fraction", aggregates.fraction, found, "use a lower fraction, or a smaller 'spacing'")
+        if particles < goal - max(0.02 * target, 0.6 * (largest / spacing) ** dimensions):
+            shortfall = (
+                f"does not fit at a spacing of {spacing:g} m: only the volume fraction {particles / n:.3g} was placed"
+            )
+            refuse("aggregate fraction", aggregates.fraction, shortfall, "use a lower fraction, or a smaller 'spacing'")
     if not members:
         problem = "is too small for a single grain"
         refuse("aggregate fraction", aggregates.fraction, problem, "use a larger fraction, or a smaller 'spacing'")

@@ -70,8 +70,8 @@ class RunData:
 def expected(scene: FluidScene) -> dict[str, float]:
     """Return pressure, slip velocity, wall stress and friction that theory predicts for the steady flow, by name."""
     theory = scene.theory()
-    found = {name: float(getattr(theory, name)) for name in UNITS}
-    return found | {"gradient": scene.friction(theory.wall_stress)}
+    predictions = {name: float(getattr(theory, name)) for name in UNITS}
+    return predictions | {"gradient": scene.friction(theory.wall_stress)}
 
 
 def _beside_theory(name: str):

@@ -130,13 +130,13 @@ class FluidSimulation(FlowRun):
             # structure breaks so slowly that all other quantities look steady.
             return False
         earlier = []
-        for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
+        for moment in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
             # The first row of the time series is not compared, because the slip layer is not computed before the first
             # step. Two earlier rows must agree with the last one, because one row may agree by chance.
-            found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
-            if not found:
+            rows_before = [row for row in self._rows[1:] if row["time"] <= moment + 1e-9]
+            if not rows_before:
                 return False
-            earlier.append(found[-1])
+            earlier.append(rows_before[-1])
         scale = {name: abs(now[name]) for name in ("pressure", "wall_stress")} | {"slip_velocity": self.scene.velocity}
         # The unsheared plug in the middle of the pipe may still grow while the wall stress is steady, so compare the
         # highest speed as well.
@@ -147,18 +147,18 @@ class FluidSimulation(FlowRun):
 
     def sizes(self) -> Record:
         layout, grains = self.flow.state.layout, self.flow.state.grains
-        found: Record = {
+        model_sizes: Record = {
             "spacing": quantity(layout.spacing, "m"),
             "column_height": quantity(layout.height, "m"),
         }
         if grains is not None:
-            found["aggregates"] = {
+            model_sizes["aggregates"] = {
                 "grains": grains.count,
                 "fraction": float(np.mean(grains.group >= 0)),
                 "smallest": quantity(grains.size.min(), "m"),
                 "largest": quantity(grains.size.max(), "m"),
             }
-        return found
+        return model_sizes
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[Record, dict[str, Table]]:
         """Return entries for the run's result, computed from the time series. A pipe flow has no tables."""

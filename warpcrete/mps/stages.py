@@ -90,12 +90,12 @@ class StepPart:
 
     def over_rows(self, kernel: Kernel, **named: object) -> list[Stage]:
         """Return stages that run a kernel over this thread's ranges of particles, followed by a barrier."""
-        p, found = self.p, []
+        p, stages = self.p, []
         for part in self.parts:
             first, end = p.count * part // p.threads, p.count * (part + 1) // p.threads
             tasks = -(-(end - first) // span(self.serial))
-            found.append(p.stage(kernel, tasks, first=first, end=end, **named))
-        return [*found, *self.barrier_stages]
+            stages.append(p.stage(kernel, tasks, first=first, end=end, **named))
+        return [*stages, *self.barrier_stages]
 
     def by_first_thread(self, kernel: Kernel, tasks: int = 1, **named: object) -> list[Stage]:
         """Return stages in which only the first thread runs a kernel, followed by a barrier of all threads."""

@@ -105,11 +105,11 @@ class FluidState:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on, without the neighbour lists."""
-        found = {name: host_copy(getattr(self.particles, name)) for name in PARTICLE_ARRAYS}
-        found["flags"] = host_copy(self.flags)
+        arrays = {name: host_copy(getattr(self.particles, name)) for name in PARTICLE_ARRAYS}
+        arrays["flags"] = host_copy(self.flags)
         if self.grain_arrays is not None:
-            found |= {f"grain_{name}": host_copy(getattr(self.grain_arrays, name)) for name in GRAIN_ARRAYS}
-        return found
+            arrays |= {f"grain_{name}": host_copy(getattr(self.grain_arrays, name)) for name in GRAIN_ARRAYS}
+        return arrays
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
         """Restore the state from a `state_dict`."""

@@ -107,12 +107,12 @@ def _scenes(display: Display, network: bool) -> list[Shown]:
     """Return the three-dimensional views: the whole scene, a cut through it and, with `network`, the force chains."""
     noun = display.noun
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
-    found: list[Shown] = [(noun.capitalize(), whole, None)]
+    views: list[Shown] = [(noun.capitalize(), whole, None)]
     contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
     if display.has_surface:
         if display.cut is not None:
-            found.append(("Cut through the middle", [*contents, f"- scene/{noun}"], None))
-        return found
+            views.append(("Cut through the middle", [*contents, f"- scene/{noun}"], None))
+        return views
     kept = spheres_behind_cut(display)
     if kept is not None:
         import rerun as rr
@@ -120,10 +120,10 @@ def _scenes(display: Display, network: bool) -> list[Shown]:
         # In the view "Cut through the middle", bodies that are in front of the cutting plane at the start have the
         # radius 0, which hides them. The view therefore needs no second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
-        found.append(("Cut through the middle", contents, hidden))
+        views.append(("Cut through the middle", contents, hidden))
     if network:
-        found.append(("Force chains", ["+ scene/**", f"- scene/{noun}", f"- {CUT}/**"], None))
-    return found
+        views.append(("Force chains", ["+ scene/**", f"- scene/{noun}", f"- {CUT}/**"], None))
+    return views
 
 
 def _view(display: Display, shown: Shown, aspect: float) -> Any:
@@ -197,7 +197,7 @@ def cut_walls(display: Display) -> list[DrawnWall]:
     """Return the parts of the fixed, transparent walls that lie behind the cutting plane, as seen from the camera."""
     from trimesh.intersections import slice_faces_plane
 
-    found = []
+    parts = []
     for number, wall in enumerate(display.walls()):
         if wall.moves or wall.colour[3] == 255 or display.cut is None:
             continue
@@ -214,5 +214,5 @@ def cut_walls(display: Display) -> list[DrawnWall]:
             # The remaining half of the wall lies behind the bodies and hides none of them. It may therefore be more
             # opaque than the whole wall.
             colour = (*wall.colour[:3], max(wall.colour[3], CUT_OPACITY))
-            found.append(DrawnWall(wall.name, vertices, faces, False, colour))
-    return found
+            parts.append(DrawnWall(wall.name, vertices, faces, False, colour))
+    return parts

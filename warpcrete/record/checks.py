@@ -19,9 +19,9 @@ class CheckRecorder(Recorder):
     def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Add the results of the scene's checks to the result of a run, if the run reached its end."""
         if run.finished:
-            found = self.check(run)
+            outcomes = self.check(run)
             run.result["checks"] = {
-                name: {"passed": bool(passed), "found": text} for name, (passed, text) in found.items()
+                name: {"passed": bool(passed), "found": text} for name, (passed, text) in outcomes.items()
             }
 
 

@@ -78,8 +78,8 @@ def load(folder: Path | str) -> Run:
     else:
         with suppress(SceneError):
             record, module = saved_scene(folder / "scene.json", modules())
-            made = module.scene(**record["parameters"])
-            scene = scene if changed_files(record.get("files", {})) else made
+            scene_again = module.scene(**record["parameters"])
+            scene = scene if changed_files(record.get("files", {})) else scene_again
     path = folder / "result.json"
     result = read_json(path) if path.is_file() else {}
     series, units = _series(folder / "series.csv")

@@ -70,12 +70,12 @@ def recorders_of(
     folder must describe exactly this run.
     """
     look = look or DrawSettings()
-    found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again)]
+    recorders: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again)]
     if check is not None:
-        found.append(CheckRecorder(check))
-    found += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
+        recorders.append(CheckRecorder(check))
+    recorders += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
     if look.live and not chosen.get("rerun"):
-        found.append(
+        recorders.append(
             RerunRecorder(None, live=look.live, bind=look.bind, colouring=look.colouring, network=look.network)
         )
-    return [*found, PictureRecorder(folder, colouring=look.colouring)] if pictures else found
+    return [*recorders, PictureRecorder(folder, colouring=look.colouring)] if pictures else recorders

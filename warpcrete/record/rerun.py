@@ -225,12 +225,12 @@ class RerunRecorder(Recorder):
 
     def _draw_profile(self, profile: Profile) -> None:
         """Record the curves of a profile as bar charts, because the viewer plots curves only over time."""
-        found = [(curve, *curve.read()) for curve in profile.curves]
-        for number, (curve, places, values) in enumerate(found):
+        curves = [(curve, *curve.read()) for curve in profile.curves]
+        for number, (curve, places, values) in enumerate(curves):
             if len(places):
                 apart = float(np.min(np.diff(places))) if len(places) > 1 else 1.0
-                width = 0.8 * apart / len(found)
-                middle = places + (number - 0.5 * (len(found) - 1)) * width
+                width = 0.8 * apart / len(curves)
+                middle = places + (number - 0.5 * (len(curves) - 1)) * width
                 fields: dict[str, Any] = {"values": self._bars(np.array(values, dtype=float))}
                 path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
                 # Converting the positions of the bars of a bar chart takes most of the time, so send them only when

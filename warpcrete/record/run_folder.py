@@ -33,13 +33,13 @@ def scene_record(simulation: SimulationBase, command: Record | None = None) -> R
     cannot be repeated from such a scene.json.
     """
     scene = simulation.scene
-    made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()
+    arguments = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()
     changed = changed_fields(scene)
     return {
-        "scene": made.function or scene.name,
-        "parameters": dict(made),
+        "scene": arguments.function or scene.name,
+        "parameters": dict(arguments),
         **({"modified": {name: readable(getattr(scene, name)) for name in changed}} if changed else {}),
-        "files": dict(made.files),
+        "files": dict(arguments.files),
         "device": str(simulation.device),
         "precision": simulation.precision,
         "command": command or {},

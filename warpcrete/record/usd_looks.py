@@ -144,9 +144,9 @@ class Colours:
         from pxr import Vt
 
         packed = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
-        found, place = np.unique(packed, return_inverse=True)
+        distinct, place = np.unique(packed, return_inverse=True)
         new = []
-        for number in found.tolist():
+        for number in distinct.tolist():
             if number not in self._known:
                 row = linear(np.array([[number >> 16, number >> 8 & 255, number & 255]]))[0]
                 if row.tobytes() not in self._numbers:
@@ -156,7 +156,7 @@ class Colours:
         if new:
             self._table = np.concatenate([self._table, new])
             self._primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(self._table, np.float32)))
-        numbers = np.array([self._known[number] for number in found.tolist()], np.int32)
+        numbers = np.array([self._known[number] for number in distinct.tolist()], np.int32)
         self._primvar.SetIndices(Vt.IntArray.FromNumpy(numbers[place.ravel()]), code)
 
 

@@ -209,8 +209,8 @@ class StandardTest:
 
     def estimates(self, known: Outcome) -> dict[str, float]:
         """Return the quantities that closed forms predict for the run `known`, by name."""
-        found = ((form.quantity, form.value(known)) for form in self.forms if form.is_estimate)
-        return {name: float(value) for name, value in found if value is not None}
+        values = ((form.quantity, form.value(known)) for form in self.forms if form.is_estimate)
+        return {name: float(value) for name, value in values if value is not None}
 
     def judge(self, run: Run) -> dict[str, tuple[bool, str]]:
         """Return the check that the test has come to its end: that the concrete is at rest or has flowed out.
@@ -249,16 +249,16 @@ def quantities_of_tests(
     run and returns the :class:`Outcome` of the run's test, or None if the run simulates no standard test. The value of
     a quantity is None for a run whose test does not have this quantity.
     """
-    found: dict[str, dict[StandardTest, Quantity]] = {}
+    by_name: dict[str, dict[StandardTest, Quantity]] = {}
     for test in TESTS.values():
         for each in of(test):
-            found.setdefault(each.name, {})[test] = each
+            by_name.setdefault(each.name, {})[test] = each
 
     def value(variants: dict[StandardTest, Quantity], known: object) -> float | None:
-        seen = outcome(known)
-        return variants[seen.test].of(seen) if seen and seen.test in variants else None
+        measured = outcome(known)
+        return variants[measured.test].of(measured) if measured and measured.test in variants else None
 
-    return [replace(next(iter(each.values())), of=partial(value, each)) for each in found.values()]
+    return [replace(next(iter(each.values())), of=partial(value, each)) for each in by_name.values()]
 
 
 def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
@@ -287,8 +287,10 @@ def _beside(quantity: Quantity, forms: Sequence[ClosedForm]) -> Callable[[Run], 
 
     def words(run: Run) -> str:
         estimates_first = sorted(forms, key=lambda form: not form.is_estimate)
-        found = [(form.label, run.result.get(form.name)) for form in estimates_first]
-        texts = [f"{label}: {factor * number(value):.{fewer}f}{unit}" for label, value in found if value is not None]
+        predictions = [(form.label, run.result.get(form.name)) for form in estimates_first]
+        texts = [
+            f"{label}: {factor * number(value):.{fewer}f}{unit}" for label, value in predictions if value is not None
+        ]
         beside = f"   ({', '.join(texts)})" if texts else ""
         return f"{factor * number(run.result[quantity.name]):.{digits}f}{unit}{beside}"
 

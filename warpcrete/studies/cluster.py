@@ -104,10 +104,10 @@ class Cluster:
 
     def ask(self, function: Callable[..., T], *arguments: Any) -> T:
         """Run a function on a worker and return its result; raise the exception that it raised."""
-        found = _outcome(self._client.submit(function, *arguments, pure=False))
-        if isinstance(found, Exception):
-            raise found
-        return found
+        outcome = _outcome(self._client.submit(function, *arguments, pure=False))
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
 
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, Record]:
         """Return the device that a worker uses if the user requests `device`, and a record of device and software."""
@@ -115,13 +115,13 @@ class Cluster:
 
     def hardware(self, device: str | None) -> str:
         """Return the model of the GPU or CPU of all workers; raise :class:`WarpcreteError` if the models differ."""
-        found = sorted(set(self._client.run(hardware, self.device(device)).values()))
-        if len(found) > 1:
+        models = sorted(set(self._client.run(hardware, self.device(device)).values()))
+        if len(models) > 1:
             raise WarpcreteError(
-                f"scheduler = {self._scheduler!r}: has workers with different processors ({', '.join(found)}), so the "
+                f"scheduler = {self._scheduler!r}: has workers with different processors ({', '.join(models)}), so the "
                 "wall times of runs cannot be compared; use workers with the same processor"
             )
-        return found[0]
+        return models[0]
 
     def run(
         self, record: Record, module: SceneModule, folder: Path, pending: list[Case], store_outcome: OutcomeCallback
@@ -279,12 +279,12 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
     from dask.distributed import Nanny, Scheduler, SpecCluster
 
     environments: list[dict[str, str]]
-    found = find_device(device)
-    if found.is_cuda:
+    selected_device = find_device(device)
+    if selected_device.is_cuda:
         visible = os.environ.get("CUDA_VISIBLE_DEVICES")
         numbers = visible.split(",") if visible else [str(k) for k in range(wp.get_cuda_device_count())]
         if device != unnumbered(device):
-            numbers = [numbers[found.ordinal]]
+            numbers = [numbers[selected_device.ordinal]]
         if workers is not None and workers > len(numbers):
             problem = f"must be at most the {len(numbers)} GPUs of this machine"
             refuse("workers", workers, problem, "use at most one per GPU")
@@ -355,14 +355,14 @@ def dask_setup(worker: object) -> None:
 
 
 def _machine(device: str | None, precision: str, seed: int) -> tuple[str, Record]:
-    found = find_device(device)
-    return str(found), provenance(found, precision, seed)
+    selected_device = find_device(device)
+    return str(selected_device), provenance(selected_device, precision, seed)
 
 
 def hardware(device: str | None) -> str:
     """Return the model name of the GPU or CPU that the device name `device` stands for."""
-    found = find_device(device)
-    return found.name if found.is_cuda else processor()
+    selected_device = find_device(device)
+    return selected_device.name if selected_device.is_cuda else processor()
 
 
 def _run_job(function: Callable[..., T], record: Record, module_name: str, folder: str, job: object, stop: str) -> T:
@@ -382,10 +382,10 @@ def _run_part(
 
     A case whose folder already contains an outcome, for example from a worker that was lost, is not run again.
     """
-    found = {case.name: previous_outcome(folder / case.name) for case in cases}
-    left = [case for case in cases if found[case.name] is None]
-    found |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, stop_requested)))
-    return [found[case.name] for case in cases]
+    outcomes = {case.name: previous_outcome(folder / case.name) for case in cases}
+    left = [case for case in cases if outcomes[case.name] is None]
+    outcomes |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, stop_requested)))
+    return [outcomes[case.name] for case in cases]
 
 
 def _stop_requested(name: str) -> Callable[[], bool]:

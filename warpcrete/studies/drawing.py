@@ -103,14 +103,14 @@ def _measured(study: Any) -> dict[str, Quantity]:
 
     A plain number in a result has no unit.
     """
-    found = {each.name: each for each in study.compared}
+    quantities = {each.name: each for each in study.compared}
     for result in study.results.values():
         for name, entry in result.items():
             unit = str(entry["unit"]) if isinstance(entry, dict) and set(entry) == {"value", "unit"} else ""
             value = entry["value"] if unit else entry
             if isinstance(value, int | float) and not isinstance(value, bool):
-                found.setdefault(name, Quantity(name, unit, lambda known: None))
-    return found
+                quantities.setdefault(name, Quantity(name, unit, lambda known: None))
+    return quantities
 
 
 def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str]) -> tuple[float, str]:
@@ -130,8 +130,8 @@ def _unit(study: Any, name: str) -> tuple[float, str]:
 
     Flows that the user stated without a unit are drawn in m3/h.
     """
-    found = study.unit(name)
-    return (3600.0, "m3/h") if found[1] == "m3/s" and name not in study.written else found
+    factor_and_unit = study.unit(name)
+    return (3600.0, "m3/h") if factor_and_unit[1] == "m3/s" and name not in study.written else factor_and_unit
 
 
 def _common(study: Any) -> list[str]:
@@ -171,10 +171,10 @@ def _series(study: Any, rows: list[Record], name: str) -> dict[str, list[Record]
             for value in (row.get(other) for other in others)
         ]
 
-    found: dict[str, list[Record]] = {}
+    series: dict[str, list[Record]] = {}
     for row in sorted(rows, key=place):
-        found.setdefault(", ".join(_worded(study, n, row[n]) for n in others if n in row), []).append(row)
-    return found
+        series.setdefault(", ".join(_worded(study, n, row[n]) for n in others if n in row), []).append(row)
+    return series
 
 
 def _panel(
@@ -285,8 +285,8 @@ class _TheoryCurves:
         key, wanted = (case.name, name, *places), quantity.name.removesuffix("_theory")
         if key not in self._known:
             self._known[key] = [(place, self._expected(case.parameters | case.varied, name, place)) for place in places]
-        found = [(place, expected[wanted]) for place, expected in self._known[key] if wanted in expected]
-        return ([place for place, _ in found], [value for _, value in found]) if found else None
+        curve = [(place, expected[wanted]) for place, expected in self._known[key] if wanted in expected]
+        return ([place for place, _ in curve], [value for _, value in curve]) if curve else None
 
     def _expected(self, given: Mapping[str, object], name: str, place: float) -> Mapping[str, float]:
         """Return the closed-form predictions of all quantities of a scene, by name; empty if the scene is invalid.

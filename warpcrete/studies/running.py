@@ -125,7 +125,7 @@ def _run_group(
     """Run a group of cases at the same time on a GPU, and store their outcomes; return whether Ctrl-C ended them."""
     simulations: list[Simulation] = []
     with StopAtSample(simulations) as stop:
-        by_name, found = simulations_of(record, module, folder, group, progress_of)
+        by_name, outcomes = simulations_of(record, module, folder, group, progress_of)
         simulations += [simulation for simulation, _ in by_name.values()]
         for simulation in simulations:
             # The simulation has not received the request to stop if the user pressed Ctrl-C before it was created.
@@ -137,12 +137,12 @@ def _run_group(
                     raise KeyboardInterrupt
                 progress(phase, fraction, {})
 
-        found |= _outcomes(by_name, packing)
+        outcomes |= _outcomes(by_name, packing)
     for case in group:
-        store_outcome(case, found[case.name])
+        store_outcome(case, outcomes[case.name])
     for simulation in simulations:
         simulation.release()
-    return stop.requested or any(isinstance(outcome, KeyboardInterrupt) for outcome in found.values())
+    return stop.requested or any(isinstance(outcome, KeyboardInterrupt) for outcome in outcomes.values())
 
 
 def _outcomes(
@@ -274,11 +274,11 @@ def previous_outcome(folder: Path) -> Any:
 
     If the case has neither an outcome nor a checkpoint, its folder is deleted, so that the case can start again.
     """
-    found = outcome_of(folder)
-    if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
+    outcome = outcome_of(folder)
+    if outcome is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
         hold = FolderLock(folder)
         try:
             shutil.rmtree(folder)
         finally:
             hold.release()
-    return found
+    return outcome

@@ -149,20 +149,20 @@ def run_listed(
     files: dict[str, str] = {}
     check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
-        made = module.scene(**case.parameters)
+        scene = module.scene(**case.parameters)
         # Store in the study's record the values that the scene uses: absolute paths in place of relative ones, and the
         # parameters of a named concrete.
-        cases[place] = replace(case, parameters=module.scene.plain(made, case.parameters))
-        check_named(made)
-        files |= made.parameters.files
+        cases[place] = replace(case, parameters=module.scene.plain(scene, case.parameters))
+        check_named(scene)
+        files |= scene.parameters.files
     check_new(out)
     with open_cluster(scheduler, workers, device) as cluster:
         seed = int(cases[0].parameters.get("seed", 0))
         if cluster is None:
             here = find_device(device)
-            found, made_by = str(here), provenance(here, precision, seed)
+            machine, made_by = str(here), provenance(here, precision, seed)
         else:
-            found, made_by = cluster.machine(device, precision, seed)
+            machine, made_by = cluster.machine(device, precision, seed)
         with new_folder(out):
             write_json(
                 out / "study.json",
@@ -171,7 +171,7 @@ def run_listed(
                     "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
                     "files": files,
                     "units": dict(units or {}),
-                    "device": found,
+                    "device": machine,
                     "precision": precision,
                     "figure": figure,
                     "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
@@ -303,12 +303,12 @@ def written_units(scene: SceneFunction, written: Mapping[str, Sequence[object]])
     its values have no unit or different units.
     """
     fields = {name: field for name, field in scene.fields({}).items() if field.kind is float}
-    found: dict[str, str] = {}
+    units: dict[str, str] = {}
     for name, values in written.items():
         if any(isinstance(value, str) for value in values):
             unit = written_unit(values, fields[name].units) if name in fields else None
-            found |= {name: unit} if unit else {}
-    return found
+            units |= {name: unit} if unit else {}
+    return units
 
 
 def _resolved_values(scene: SceneFunction, varied: Mapping[str, Sequence[object]]) -> dict[str, list[Any]]:
@@ -319,15 +319,18 @@ def _resolved_values(scene: SceneFunction, varied: Mapping[str, Sequence[object]
                 refuse(name, value, "is an object, but only names and numbers can be varied",
                        "give the name of the object's class instead, and vary its parameters, whose names begin with "
                        f"{name}_")  # fmt: skip
-    found = {name: [scene.resolved({name: value})[name] for value in values] for name, values in varied.items()}
+    resolved = {name: [scene.resolved({name: value})[name] for value in values] for name, values in varied.items()}
     for name, field in scene.fields({}).items():
-        if name in found and not any(field.of_kind(CompositeRule)):
-            used = [repr(field.converted(value, name)) for value in found[name]]
+        if name in resolved and not any(field.of_kind(CompositeRule)):
+            used = [repr(field.converted(value, name)) for value in resolved[name]]
             if len(set(used)) < len(used):
                 refuse(
-                    name, found[name], "must be one or more values that are all different", "leave out repeated values"
+                    name,
+                    resolved[name],
+                    "must be one or more values that are all different",
+                    "leave out repeated values",
                 )
-    return found
+    return resolved
 
 
 def _without_idle_parameters(scene: SceneFunction, cases: Sequence[Case]) -> list[Case]:
@@ -337,8 +340,8 @@ def _without_idle_parameters(scene: SceneFunction, cases: Sequence[Case]) -> lis
     affects none of the cases, creating the scene gives an error or a warning, depending on how the scene declares the
     parameter. The density of aggregates in a flow without aggregates, for example, gives a warning.
     """
-    found = [replace(case, parameters=scene.effective_values(case.parameters)) for case in cases]
-    used = {name for case in found for name in case.parameters}
+    effective_cases = [replace(case, parameters=scene.effective_values(case.parameters)) for case in cases]
+    used = {name for case in effective_cases for name in case.parameters}
     for case in cases:
         if idle := set(case.parameters) - used:
             # The parameters in `idle` affect no case of the study, which is probably a mistake. Create the scene, which
@@ -350,7 +353,7 @@ def _without_idle_parameters(scene: SceneFunction, cases: Sequence[Case]) -> lis
                 needed = [rule.condition for rule in field.of_kind(Needs)] if field is not None else []
                 cure = f"; it has an effect only if {' and '.join(needed)}" if needed else ""
                 refuse(name, case.varied[name], problem, f"leave out {name!r}{cure}")
-    return found
+    return effective_cases
 
 
 def _take_over(study: Study, case: Case) -> bool:
@@ -358,13 +361,13 @@ def _take_over(study: Study, case: Case) -> bool:
 
     The folder of a case that was interrupted before its first checkpoint is deleted.
     """
-    found = previous_outcome(study.folder / case.name)
-    _store_outcome(study, case, found)
-    return found is not None
+    outcome = previous_outcome(study.folder / case.name)
+    _store_outcome(study, case, outcome)
+    return outcome is not None
 
 
-def _store_outcome(study: Study, case: Case, found: object) -> None:
-    if isinstance(found, dict):
-        study.results[case.name] = found
-    elif found is not None:
-        study.failures[case.name] = str(found)
+def _store_outcome(study: Study, case: Case, outcome: object) -> None:
+    if isinstance(outcome, dict):
+        study.results[case.name] = outcome
+    elif outcome is not None:
+        study.failures[case.name] = str(outcome)

@@ -77,8 +77,8 @@ class Study:
     @property
     def suspect(self) -> dict[str, list[str]]:
         """Names of the plausibility checks that a finished case failed, by the name of the case."""
-        found = {name: failed_checks(result) for name, result in self.results.items()}
-        return {name: checks for name, checks in found.items() if checks}
+        failed_by_case = {name: failed_checks(result) for name, result in self.results.items()}
+        return {name: checks for name, checks in failed_by_case.items() if checks}
 
     @property
     def compared(self) -> list[Quantity]:
@@ -184,14 +184,14 @@ class Study:
         unit have it in `attrs["units"]`. Raises :class:`WarpcreteError` if xarray is not installed.
         """
         columns, units = columns_of(self)
-        found = dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
+        runs = dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
         several = ["seed"] if "seed" not in self.varied and len(set(columns["seed"])) > 1 else []
         names = [*self.varied, *several]
         keys = list(zip(*(columns[name] for name in names), strict=True))
         combinations = math.prod(len(set(columns[name])) for name in names)
         if not names or len(set(keys)) < len(keys) or combinations > 2 * len(keys) or any(None in k for k in keys):
-            return found
-        return unstacked(found, names)
+            return runs
+        return unstacked(runs, names)
 
     def plot(
         self, quantity: str | None = None, x: str | None = None, unit: str | None = None, y_unit: str | None = None

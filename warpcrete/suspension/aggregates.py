@@ -219,12 +219,12 @@ class BodyState:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return centres, velocities, spins, orientations and, with friction, contacts of the aggregates, by name."""
-        found = {name: host_copy(getattr(self.bodies, name)) for name in STATE_ARRAYS}
+        arrays = {name: host_copy(getattr(self.bodies, name)) for name in STATE_ARRAYS}
         if self.kind.friction:
-            found["last_count"] = host_copy(self.pairs.last_count)
-            entries = _entries(found["last_count"])
-            found |= {name: getattr(self.pairs, name).numpy()[entries] for name in CONTACT_ARRAYS}
-        return found
+            arrays["last_count"] = host_copy(self.pairs.last_count)
+            entries = _entries(arrays["last_count"])
+            arrays |= {name: getattr(self.pairs, name).numpy()[entries] for name in CONTACT_ARRAYS}
+        return arrays
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
         """Restore the state of the aggregates from a `state_dict`."""

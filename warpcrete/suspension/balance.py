@@ -81,8 +81,8 @@ def step_with_balance(flow: SuspensionFlow) -> Balance:
     bodies = flow.aggregates.bodies
     before = bodies.velocity.numpy().astype(float), bodies.spin.numpy().astype(float)
     flow.take(1)
-    found = _Step(flow, *before)
-    return found.balance()
+    balanced_step = _Step(flow, *before)
+    return balanced_step.balance()
 
 
 def last_balance(flow: SuspensionFlow) -> Balance:
@@ -198,7 +198,7 @@ def _velocities_at_gaps(
     centres is left out.
     """
     aggregates = flow.aggregates
-    parts, kind, bodies, found = aggregates.parts, aggregates.kind, aggregates.bodies, []
+    parts, kind, bodies, velocities = aggregates.parts, aggregates.kind, aggregates.bodies, []
     moved, turned = bodies.velocity.numpy().astype(float), bodies.spin.numpy().astype(float)
     for sphere, side in ((own, normal), (other, -normal)):
         lever = np.zeros_like(normal)
@@ -207,8 +207,8 @@ def _velocities_at_gaps(
         if kind.friction:
             lever += (parts.radius[sphere] + 0.5 * gap)[:, None] * side
         body = parts.body[sphere]
-        found.append(moved[body] + np.cross(turned[body], lever))
-    return found
+        velocities.append(moved[body] + np.cross(turned[body], lever))
+    return velocities
 
 
 class _Grid:
@@ -369,13 +369,13 @@ class _Step:
         The powers are dissipated by lubrication, dissipated by contacts, and supplied by walls that push aggregates.
         The force is the component along the last axis of the grid.
         """
-        found = pair_forces(self.flow)
-        wall = found.other == int(WALL)
+        forces = pair_forces(self.flow)
+        wall = forces.other == int(WALL)
         # Both aggregates of a pair have an entry for it, so each entry counts half of the pair's power.
         share = np.where(wall, 1.0, 0.5)
         return (
-            float(np.sum(share * found.lubrication * found.approach)),
-            float(np.sum(share * (found.contact * found.approach - np.sum(found.rubbing * found.sliding, 1)))),
-            float(np.sum(found.force[wall] * found.wall_velocity[wall])),
-            float(np.sum(found.force[wall, 2])),
+            float(np.sum(share * forces.lubrication * forces.approach)),
+            float(np.sum(share * (forces.contact * forces.approach - np.sum(forces.rubbing * forces.sliding, 1)))),
+            float(np.sum(forces.force[wall] * forces.wall_velocity[wall])),
+            float(np.sum(forces.force[wall, 2])),
         )

@@ -49,8 +49,8 @@ class SphereDisplay(GridDisplay):
         radii = parts.radius[numbers]
         speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)[parts.body[numbers]]
         if cut is not None:
-            seen = centres[:, 1] + radii > cut
-            centres, radii, speeds = centres[seen], radii[seen], speeds[seen]
+            visible = centres[:, 1] + radii > cut
+            centres, radii, speeds = centres[visible], radii[visible], speeds[visible]
         points, faces = self._sphere
         count, each = len(radii), len(points)
         vertices = (centres[:, None] + radii[:, None, None] * points).reshape(-1, 3)

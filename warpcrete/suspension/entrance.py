@@ -29,6 +29,6 @@ class Entrance:
 
         `centre` holds the aggregates' centres at the start [m], shape (n, 3).
         """
-        found = allocate(entrance_struct(scalar), device, start=centre, appears=self.appears, enters=self.enters)
-        found.velocity, found.gravity = self.velocity.tolist(), self.gravity.tolist()
-        return found
+        struct = allocate(entrance_struct(scalar), device, start=centre, appears=self.appears, enters=self.enters)
+        struct.velocity, struct.gravity = self.velocity.tolist(), self.gravity.tolist()
+        return struct

@@ -193,12 +193,12 @@ class SuspensionFlow(GridFlow):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        found = {
+        coupled_arrays = {
             "aggregates": self.aggregates,
             "coupled solve": self.coupled.directions,
             "viscous solve": self.coupled.compact,
         }
-        return super().holdings | found | ({} if self.entrance is None else {"entrance": self.entrance})
+        return super().holdings | coupled_arrays | ({} if self.entrance is None else {"entrance": self.entrance})
 
     def _build_stages(self) -> None:
         part = SuspensionStep(self, range(1))

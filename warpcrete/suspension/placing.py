@@ -31,10 +31,10 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
     mirrors = [(axis, side) for axis, sides in enumerate(layout.room.sides) for side in (0, 1) if sides[side] == MIRROR]
 
     def distance(x: np.ndarray) -> np.ndarray:
-        found = np.minimum(nearest(x)[0], -outline(x))
+        clearance = np.minimum(nearest(x)[0], -outline(x))
         for axis, side in mirrors:
-            found = np.minimum(found, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
-        return found
+            clearance = np.minimum(clearance, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
+        return clearance
 
     volume = float(np.sum(layout.mass)) * layout.volume
     return aggregates_within(scene, volume, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
@@ -52,13 +52,13 @@ def aggregates_within(
     """
     rng = np.random.default_rng(seed)
     radii = _radii(scene, volume, rng)
-    found = _placed(scene, radii, low, high, distance, rng, periodic, draw)
-    if found is None:
+    aggregates = _placed(scene, radii, low, high, distance, rng, periodic, draw)
+    if aggregates is None:
         whole, fewer = float(np.sum(radii**3)), rng.permutation(radii)
-        while found is None and len(fewer) > 1:
+        while aggregates is None and len(fewer) > 1:
             fewer = fewer[: int(SHRINK * len(fewer))]
-            found = _placed(scene, fewer, low, high, distance, rng, periodic, draw)
-        count, part = (0, 0.0) if found is None else (len(fewer), float(np.sum(fewer**3)) / whole)
+            aggregates = _placed(scene, fewer, low, high, distance, rng, periodic, draw)
+        count, part = (0, 0.0) if aggregates is None else (len(fewer), float(np.sum(fewer**3)) / whole)
         refuse(
             "aggregate_fraction",
             scene.aggregate_fraction,
@@ -67,7 +67,7 @@ def aggregates_within(
             if count
             else "use smaller aggregates or a wider box",
         )
-    return found
+    return aggregates
 
 
 def _placed(
@@ -185,16 +185,16 @@ def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.n
     resolve are drawn. There is at least one aggregate. Warn if the volume of the aggregates differs from the required
     volume by more than the fraction `MAX_DEVIATION`.
     """
-    wanted = scene.simulated_fraction * volume
+    target_volume = scene.simulated_fraction * volume
     curve = None if scene.sieve is None else scene.sieve.above(scene.diameters[0])
     radii, filled = [], 0.0
     while True:
         size = rng.uniform(*scene.diameters) if curve is None else float(curve.sample(1, rng)[0])
         radius = 0.5 * size
         own = 4 / 3 * np.pi * radius**3
-        if filled + 0.5 * own > wanted and radii:
-            if abs(filled / wanted - 1) > MAX_DEVIATION:
-                placed = scene.simulated_fraction * filled / wanted
+        if filled + 0.5 * own > target_volume and radii:
+            if abs(filled / target_volume - 1) > MAX_DEVIATION:
+                placed = scene.simulated_fraction * filled / target_volume
                 goal = f" instead of {scene.simulated_fraction:.3g}, which the cells resolve" if curve else ""
                 warn(
                     f"aggregate_fraction = {scene.aggregate_fraction:g}: only whole aggregates can be placed; their "

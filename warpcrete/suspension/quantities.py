@@ -61,10 +61,10 @@ def in_words(bodies: BodyState, scene: SphereFields) -> str:
 
 def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
     """Yield a report line on the fraction of the aggregates that is simulated, if they have a sieve curve."""
-    found = run.result.get("aggregates", {})
-    if "stated_fraction" in found:
-        part = found["fraction"] / found["stated_fraction"]
-        smallest = 1e3 * number(found["smallest"])
+    entry = run.result.get("aggregates", {})
+    if "stated_fraction" in entry:
+        part = entry["fraction"] / entry["stated_fraction"]
+        smallest = 1e3 * number(entry["smallest"])
         yield "simulated", f"{100 * part:.0f} % of the stated aggregates; those below {smallest:.3g} mm count as mortar"
 
 

@@ -66,18 +66,18 @@ class AggregateRun(FlowRun):
         the coupled solve has not changed the flow since the program started. Its error is larger if aggregates enter at
         a given speed.
         """
-        found = {"count": self.flow.aggregates.count, "fraction": self.fraction}
+        entry = {"count": self.flow.aggregates.count, "fraction": self.fraction}
         if self.scene.sieve is not None:
-            found |= {
+            entry |= {
                 "stated_fraction": self.scene.aggregate_fraction,
                 "smallest": quantity(self.scene.diameters[0], "m"),
             }
         if self.flow.coupled.outer == 0:
-            return {"aggregates": found}
+            return {"aggregates": entry}
         last = last_balance(self.flow)
         momentum = {
             "change": quantity(last.momentum, "N"),
             "forces": quantity(last.impulse, "N"),
             "error": last.momentum_error,
         }
-        return {"aggregates": found, "momentum_balance": momentum}
+        return {"aggregates": entry, "momentum_balance": momentum}

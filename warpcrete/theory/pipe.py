@@ -439,11 +439,11 @@ def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], press
     stress = (p - concrete.density * line.gravity * line.rise * line.length) * line.radius / (2 * line.length)
     slip = q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe")
     bent = np.sign(slip) * np.abs(slip) ** concrete.slip_flow_index if concrete.slip_flow_index != 1 else slip
-    found = straight_line(bent, stress - concrete.slip_quadratic_viscosity * slip * np.abs(slip))
-    if found.slope <= 0 or found.offset < 0:
+    fit = straight_line(bent, stress - concrete.slip_quadratic_viscosity * slip * np.abs(slip))
+    if fit.slope <= 0 or fit.offset < 0:
         raise SceneError(
-            f"fit: the points give a slip layer with a viscosity of {found.slope:.4g} Pa s/m and a yield stress of "
-            f"{found.offset:.4g} Pa, but the viscosity must be above 0 and the yield stress at least 0; check length, "
+            f"fit: the points give a slip layer with a viscosity of {fit.slope:.4g} Pa s/m and a yield stress of "
+            f"{fit.offset:.4g} Pa, but the viscosity must be above 0 and the yield stress at least 0; check length, "
             "rise and diameter of the pipe, and the viscosity and yield stress of the concrete"
         )
-    return found
+    return fit

@@ -65,16 +65,16 @@ class Segregated:
     def zones(self) -> tuple[Concrete, Concrete]:
         """Concretes in the inner and the outer half of the radius, with the constants for their aggregate fractions."""
         even = thickening(self.fraction, *SUSPENSIONS["spheres"])
-        found = []
+        halves = []
         for share in self.shares:
             thick = thickening(share, *SUSPENSIONS["spheres"])
             own = self.concrete
             factors = (thick[0], share), (even[0], self.fraction)
             linear, square = ([power_thickening(*each, n) for each in factors] for n in (own.flow_index, 2.0))
-            found.append(replace(own, viscosity=own.viscosity * linear[0] / linear[1],
+            halves.append(replace(own, viscosity=own.viscosity * linear[0] / linear[1],
                                  yield_stress=own.yield_stress * thick[1] / even[1],
                                  quadratic_viscosity=own.quadratic_viscosity * square[0] / square[1]))  # fmt: skip
-        return found[0], found[1]
+        return halves[0], halves[1]
 
     def of_stress(self, stress: float) -> Steady:
         """Return the steady state at a wall `stress` [Pa]."""

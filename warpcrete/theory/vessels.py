@@ -290,8 +290,8 @@ def funnel_time(
         stress, radius = duct_stress(
             speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index, quadratic_viscosity
         )
-        taken = np.cumsum(stress / radius) * step + 0.5 * density * speed**2
-        left.append(density * gravity * step * np.arange(1, SLICES_FUNNEL + 1) - taken)
+        used = np.cumsum(stress / radius) * step + 0.5 * density * speed**2
+        left.append(density * gravity * step * np.arange(1, SLICES_FUNNEL + 1) - used)
     time = 0.0
     for level in range(int(SLICES_FUNNEL * throat / whole), SLICES_FUNNEL):
         surplus = np.array([row[level] for row in left])

@@ -121,8 +121,8 @@ def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = S
         free = free_energy(series)
         growth = float(np.max(free - np.minimum.accumulate(free)) / max(simulation.watch.scale, 1e-300))
         deepest = float(np.max(series["deepest_overlap"]))
-    taken = simulation.stepper.steps if hasattr(simulation, "stepper") else 0
-    return Outcome(name, stopped, deepest, growth, taken, expected_outcome(name, precision))
+    steps_taken = simulation.stepper.steps if hasattr(simulation, "stepper") else 0
+    return Outcome(name, stopped, deepest, growth, steps_taken, expected_outcome(name, precision))
 
 
 # Scenes that must stop with an error, each with a pattern for the error message. If the pattern begins with `float32:`,

@@ -102,14 +102,14 @@ def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: s
     stopped, refused = "", False
     top = math.nan
     rows: list[dict[str, float]] = []
-    closest, taken = math.inf, 0
+    closest, steps_taken = math.inf, 0
     try:
         simulation = FluidSimulation(make(), device=device, precision=precision, threads=1)
         top = simulation.top_speed
         simulation.prepare()
         for _ in range(SAMPLES):
             simulation.flow.take(max(steps // SAMPLES, 1))
-            taken = simulation.flow.steps
+            steps_taken = simulation.flow.steps
             rows.append(simulation.measure())
             simulation.watch_row(rows[-1])
         closest = _closest(simulation)
@@ -124,7 +124,7 @@ def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: s
     }
     return FlowOutcome(
         name, stopped, refused, largest["force_balance_error"], largest["volume_error"], largest["fastest"] / top,
-        closest, taken, MUST.get(name, "" if name.startswith("corner") else "run"),
+        closest, steps_taken, MUST.get(name, "" if name.startswith("corner") else "run"),
     )  # fmt: skip
 
 

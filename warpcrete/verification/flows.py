@@ -49,7 +49,7 @@ SHEARED = {"wall": 1.5e-3, "profile": 2e-3, "balance": 2e-3}
 
 
 def _sheared(dimensions: int, device: str, precision: str) -> list[Row]:
-    found = []
+    rows = []
     for number, layer in ((0.0, 1e6), (0.0, 4e3), (1.0, 1e6), (10.0, 1e6), (100.0, 1e6)):
         speed, viscosity, radius = 0.19, 20.0, 0.05
         given = FlowParameters(
@@ -57,8 +57,8 @@ def _sheared(dimensions: int, device: str, precision: str) -> list[Row]:
             slip_viscosity=layer, slip_yield=0.0, ends="periodic", length=0.06, spacing=5e-3, duration=0.3,
         )  # fmt: skip
         name = f"Bn {number:g}" + (", slips" if layer < 1e6 else "")
-        found += _rows(name, column_scene("flow", dimensions, given), device, precision)
-    return found
+        rows += _rows(name, column_scene("flow", dimensions, given), device, precision)
+    return rows
 
 
 def _rows(name: str, scene: FluidScene, device: str, precision: str) -> list[Row]:
@@ -101,7 +101,7 @@ LAWS = {
 
 
 def _other_laws(dimensions: int, device: str, precision: str) -> list[Row]:
-    found = []
+    rows = []
     for name, law in LAWS.items():
         speed, radius = 0.19, 0.05
         slips = any(key.startswith("slip") for key in law)
@@ -111,8 +111,8 @@ def _other_laws(dimensions: int, device: str, precision: str) -> list[Row]:
             concrete="own", density=2400.0, viscosity=viscosity, yield_stress=76.0, slip_viscosity=layer,
             slip_yield=20.0 if slips else 0.0, ends="periodic", length=0.06, spacing=5e-3, duration=0.3, **law,
         )  # fmt: skip
-        found += _rows(name, column_scene("flow", dimensions, given), device, precision)
-    return found
+        rows += _rows(name, column_scene("flow", dimensions, given), device, precision)
+    return rows
 
 
 def other_channel(device: str, precision: str) -> list[Row]:

@@ -89,13 +89,13 @@ def elastic(device, precision) -> list[Row]:
         ("1, two glass spheres", glass, 0.01, 2800.0, 10.0, False, 10.70e3, 274e-6, 40.3e-6),
         ("2, aluminium sphere on a plane", alloy, 0.1, 2699.0, 0.2, True, 11.37e3, 49.7e-6, 731e-6),
     ):
-        found = _peak(law, radius, density, speed, plane, device, precision)
+        peak = _peak(law, radius, density, speed, plane, device, precision)
         # The tolerances allow for published values of only three to four digits, and for single precision, which
         # resolves the overlap to about 1e-4 of its value.
         rows += [
-            Row(f"test {name}: peak force", found[0], force, 2e-3, "N"),
-            Row(f"test {name}: peak overlap", found[1], overlap, 2e-3, "m"),
-            Row(f"test {name}: duration", found[2], time, 3e-3, "s"),
+            Row(f"test {name}: peak force", peak[0], force, 2e-3, "N"),
+            Row(f"test {name}: peak overlap", peak[1], overlap, 2e-3, "m"),
+            Row(f"test {name}: duration", peak[2], time, 3e-3, "s"),
         ]
     return rows
 
@@ -142,10 +142,10 @@ def restitution(device, precision) -> list[Row]:
     This is test 3 of Chung & Ooi (2011), with the Hertz-Mindlin law and with the linear law.
     """
     rows = []
-    wanted = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    coefficients = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     for name in ("Hertz-Mindlin", "linear"):
         ours = []
-        for e in wanted:
+        for e in coefficients:
             law = HertzMindlin.of(380e9, 0.23, rigid_partner=True, friction=0.0, restitution=float(e))
             if name == "linear":
                 law = Contact(effective_modulus=1e6, friction=0.0, normal_damping_ratio=damping_ratio(float(e)))
@@ -153,9 +153,11 @@ def restitution(device, precision) -> list[Row]:
             else:
                 velocity, _ = spheres_on_a_plane(law, 2.5e-3, 4000.0, [[0, 0, -3.9]], [[0, 0, 0]], device, precision)
                 ours.append(velocity[0, 2] / 3.9)
-        error = np.abs(np.array(ours) - wanted)
+        error = np.abs(np.array(ours) - coefficients)
         worst = 1 + int(np.argmax(error[1:]))
-        rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f} (worst of 5)", ours[worst], wanted[worst], 2e-3))
+        rows.append(
+            Row(f"test 3, {name}: e = {coefficients[worst]:.1f} (worst of 5)", ours[worst], coefficients[worst], 2e-3)
+        )
         # With a restitution of e = 0 the spheres never separate. Their velocity is therefore read after a fixed time:
         # three (Hertz-Mindlin) or four (linear) durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
@@ -239,20 +241,20 @@ def normalised(device, precision) -> list[Row]:
     for name, published in (("surface velocity", TEST_5_SURFACE), ("angular velocity", TEST_5_SPIN)):
         tangential = published[:, 0] * unit
         velocities = np.stack([tangential, 0 * tangential, np.full_like(tangential, -normal)], 1)
-        found = []
+        curves = []
         for kind in (law, rigid):
             velocity, spin = spheres_on_a_plane(kind, radius, 7850.0, velocities, 0 * velocities, device, precision)
             surface = (velocity[:, 0] - radius * spin[:, 1]) / unit
-            found.append(surface if name.startswith("surface") else -radius * spin[:, 1] / unit)
-        NORMALISED.curves[name] = (published[:, 0], found[0], published[:, 1], found[1])
-        worst = int(np.argmax(np.abs(found[0] - published[:, 1])))
+            curves.append(surface if name.startswith("surface") else -radius * spin[:, 1] / unit)
+        NORMALISED.curves[name] = (published[:, 0], curves[0], published[:, 1], curves[1])
+        worst = int(np.argmax(np.abs(curves[0] - published[:, 1])))
         label = f"test 5: rebound {name} (worst of {len(published)}, at {published[worst, 0]:.2f})"
         span = float(np.ptp(published[:, 1]))
-        rows.append(Row(label, found[0][worst], published[worst, 1], 0.012, scale=span))
+        rows.append(Row(label, curves[0][worst], published[worst, 1], 0.012, scale=span))
         slip = published[:, 0] > 9
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
-            _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
+            _largest_error(f"test 5: rebound {name} in full slip, rigid plane", curves[1][slip], exact, 1.2e-2, "1")
         )  # The tolerance allows for the overlap, which shortens the lever arm of friction.
     return rows
 
@@ -303,10 +305,12 @@ def spinning(device, precision) -> list[Row]:
         stepper = start(scene, device, precision)
         stepper.advance(5 * _duration(law, radius, 2700.0, normal))
         order = np.argsort(stepper.state.bodies.id.numpy())[:3]
-        found = stepper.state.bodies.velocity.numpy()[order].astype(float)
+        after_impact = stepper.state.bodies.velocity.numpy()[order].astype(float)
         turned = stepper.state.bodies.spin.numpy()[order].astype(float)
         label = {7: "test 7, equal spheres", 8: "test 8, on a sphere 5 times as large, 1000 times as dense"}[number]
-        rows.append(_largest_error(f"{label}: tangential velocity", -found[:, 0], np.full(3, impulse), 3e-3, "m/s"))
+        rows.append(
+            _largest_error(f"{label}: tangential velocity", -after_impact[:, 0], np.full(3, impulse), 3e-3, "m/s")
+        )
         rows.append(
             _largest_error(
                 f"{label}: loss of spin", turned[:, 1] + rates, np.full(3, 2.5 * impulse / radius), 3e-3, "rad/s"

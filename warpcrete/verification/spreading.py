@@ -34,15 +34,15 @@ def dam_break(device: str, precision: str) -> list[Row]:
     """Compare the position of the front of a spreading Newtonian fluid with theory."""
     simulation = FreeSimulation(let_go(0.0, 0.6, 8.0), device=device, precision=precision)
     run = simulation.run()
-    paste, found = simulation.scene.concrete, []
+    paste, rows = simulation.scene.concrete, []
     # The measured error of the front's position is 2.1 % after 4 s and 2.0 % after 8 s. The measured error of the
     # volume is 0.5 %. Cells of half the size do not reduce the error of the front, because the theory itself is
     # inexact: it assumes a thin layer, whereas the front is steep.
     for time in (4.0, 8.0):
         front = float(np.interp(time, run.series["time"], run.series["spread"]))
         theory = viscous_front(HALF[0] * HALF[1], paste.viscosity, paste.density, time)
-        found.append(Row(f"front after {time:g} s", front, theory, 0.03, "m"))
-    return [*found, Row("volume", 1 + run.result["volume_error"], 1.0, 8e-3)]
+        rows.append(Row(f"front after {time:g} s", front, theory, 0.03, "m"))
+    return [*rows, Row("volume", 1 + run.result["volume_error"], 1.0, 8e-3)]
 
 
 def heap(device: str, precision: str) -> list[Row]:

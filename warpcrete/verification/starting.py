@@ -51,7 +51,7 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
     area = sides if axial else np.ones(cells + 1)
     volume = 0.5 * np.diff(sides**2) if axial else np.full(cells, h)
     inertia = concrete.density * volume / step
-    velocity, slip, found = np.zeros(cells), 0.0, []
+    velocity, slip, profiles_at_times = np.zeros(cells), 0.0, []
     for n in range(round(times[-1] / step)):
         start = velocity
         # Solve the implicit step by fixed-point iterations, because the viscosity depends on the velocity at the end of
@@ -71,8 +71,8 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
             velocity = np.linalg.solve(matrix, right)
             slip = max(ease * velocity[-1] + fixed - concrete.slip_yield, 0.0) / layer
         if np.any(np.abs((n + 1) * step - times) < 0.5 * step):
-            found.append(velocity)
-    return np.array(found)
+            profiles_at_times.append(velocity)
+    return np.array(profiles_at_times)
 
 
 def worst(
@@ -116,7 +116,7 @@ def start(device: str, precision: str) -> list[Row]:
 
     The flows in channel and tube stick to the wall or slip, and have a yield stress or none.
     """
-    found = []
+    rows = []
     for dimensions, form in ((2, "channel"), (3, "tube")):
         for number, layer, error, end in START_CASES:
             rms, largest = worst(dimensions, number, layer, LONGEST, error, end, device, precision)
@@ -124,11 +124,11 @@ def start(device: str, precision: str) -> list[Row]:
             # The measured errors of the velocity profile without a yield stress are 0.11 to 0.38 % (rms) and 0.15 to
             # 0.7 % (largest in any cell). With a yield stress they are 0.8 % (rms) and 1.4 % (in a cell on the axis of
             # the tube).
-            found += [
+            rows += [
                 Row(f"{name}: profile, largest rms error", rms, 0.0, 0.01, scale=1.0),
                 Row(f"{name}: largest error of any cell", largest, 0.0, 0.015, scale=1.0),
             ]
-    return found
+    return rows
 
 
 CASES = [Case("start from rest under a force", "finite volumes in one dimension", start, "flows")]

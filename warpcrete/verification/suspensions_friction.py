@@ -55,8 +55,8 @@ def friction_case(device: str, precision: str) -> list[Row]:
     velocity, spin = motion(pushed(FRICTION, 0.2 * PRESS, 0.0, device, precision))
     flow = pushed(FRICTION, PRESS, 0.0, device, precision)
     normal = float(flow.aggregates.pairs.last_force.numpy()[0])
-    found = motion(flow)
-    force = float(flow.aggregates.pairs.grip.numpy()[0]) * (found[0] - LEVER * found[1])
+    measured = motion(flow)
+    force = float(flow.aggregates.pairs.grip.numpy()[0]) * (measured[0] - LEVER * measured[1])
     loaded = motion(pushed(0.0, PRESS - FRICTION * normal, FRICTION * normal * LEVER, device, precision))
     return [
         Row(
@@ -71,8 +71,8 @@ def friction_case(device: str, precision: str) -> list[Row]:
             1.0,
             0.015,
         ),
-        Row("velocity, divided by that without friction under the same loads", found[0] / loaded[0], 1.0, 0.01),
-        Row("spin, divided by that without friction under the same loads", found[1] / loaded[1], 1.0, 0.025),
+        Row("velocity, divided by that without friction under the same loads", measured[0] / loaded[0], 1.0, 0.01),
+        Row("spin, divided by that without friction under the same loads", measured[1] / loaded[1], 1.0, 0.025),
     ]
 
 

@@ -168,12 +168,12 @@ def balance_case(device: str, precision: str) -> list[Row]:
 
 def random_case(device: str, precision: str) -> list[Row]:
     """Compare the viscosity of a suspension of randomly placed spheres with Lionberger & Russel's formula (1994)."""
-    found = []
+    rows = []
     for fraction, allowed in ((0.05, 0.06), (0.1, 0.06), (0.2, 0.06), (0.3, 0.06), (0.4, 0.12)):
         core = mean_core([random_structure(fraction, seed, device, precision) for seed in range(SEEDS)])
         expected = high_frequency_viscosity(core.fraction)
-        found.append(Row(f"viscosity at a fraction of {core.fraction:.3f}", core.viscosity, expected, allowed))
-    return found
+        rows.append(Row(f"viscosity at a fraction of {core.fraction:.3f}", core.viscosity, expected, allowed))
+    return rows
 
 
 WEAKEST = 0.04

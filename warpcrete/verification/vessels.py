@@ -88,7 +88,7 @@ def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSI
     """
     slips = [2 * PASTE.viscosity / (radius**2 * layer) for radius, layer in zip((INNER, OUTER), layers)]
     a, b = np.linalg.solve([[INNER, 1 / INNER + slips[0]], [OUTER, 1 / OUTER - slips[1]]], [TURNS * INNER, 0.0])
-    velocity, kinds, found = flow.state.faces("velocity"), flow.state.faces("kind"), []
+    velocity, kinds, errors = flow.state.faces("velocity"), flow.state.faces("kind"), []
     for axis in range(2):
         shift = [0.5, 0.5]
         shift[axis] = 0.0
@@ -96,21 +96,21 @@ def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSI
         radius = np.linalg.norm(place, axis=-1)
         turn = place[..., 1] if axis == 0 else -place[..., 0]
         exact = (a * radius + b / radius) * turn / radius
-        found.append((velocity[axis] - exact)[kinds[axis] == int(LIQUID)])
-    return float(np.sqrt(np.mean(np.concatenate(found) ** 2))) / (TURNS * INNER)
+        errors.append((velocity[axis] - exact)[kinds[axis] == int(LIQUID)])
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) / (TURNS * INNER)
 
 
 def cylinders(device: str, precision: str) -> list[Row]:
     """Compare the flow between a rotating and a fixed cylinder with the closed form, on three grids."""
-    found = []
+    rows = []
     # The measured rms errors of the velocity, divided by the speed of the inner wall, are 0.93, 0.31 and 0.12 % on the
     # three grids.
     for cells, allowed in ((22, 0.011), (44, 0.004), (88, 0.0015)):
         flow = between_cylinders(device, precision, cells)
         flow.take(200)
         name = f"{INNER / flow.state.layout.spacing:.0f} cells across the gap: {COUETTE_ERROR}"
-        found.append(Row(name, couette_error(flow), 0.0, allowed, scale=1.0))
-    return found
+        rows.append(Row(name, couette_error(flow), 0.0, allowed, scale=1.0))
+    return rows
 
 
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
@@ -118,7 +118,7 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
 
     The slip velocity at a wall reaches more than half of the inner cylinder's speed.
     """
-    found = []
+    rows = []
     # Measured rms errors of the velocity, divided by the speed of the inner wall, on the coarse and the fine grid:
     # - first pair of layers: 0.40 and 0.20 %,
     # - second pair: 0.37 and 0.36 %,
@@ -134,8 +134,8 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
             words = [f"{layer:g} Pa s/m" if layer < NO_SLIP_VISCOSITY else "sticks" for layer in layers]
             across = INNER / flow.state.layout.spacing
             name = f"inner {words[0]}, outer {words[1]}, {across:.0f} cells: {COUETTE_ERROR}"
-            found.append(Row(name, couette_error(flow, layers), 0.0, allowed, scale=1.0))
-    return found
+            rows.append(Row(name, couette_error(flow, layers), 0.0, allowed, scale=1.0))
+    return rows
 
 
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
@@ -178,15 +178,15 @@ def pipe_in_space(device: str, precision: str) -> list[Row]:
 
     The pipe is 20 cells wide.
     """
-    found = []
+    rows = []
     # The measured errors of the pressure gradient are -0.66, -0.49 and -0.71 % for the Bingham numbers 0, 1 and 10.
     for number in (0.0, 1.0, 10.0):
         yield_stress = number * PASTE.viscosity * SPEED / RADIUS
         flow = round_pipe(device, precision, 22, yield_stress)
         flow.take(250)
         ours = float(flow.mesh.drive.numpy()[int(LAST_FORCE)])
-        found.append(Row(f"Bn {number:g}: pressure per length", ours, pipe_gradient(yield_stress), 8e-3, "Pa/m"))
-    return found
+        rows.append(Row(f"Bn {number:g}: pressure per length", ours, pipe_gradient(yield_stress), 8e-3, "Pa/m"))
+    return rows
 
 
 def tilted_vessel(**given) -> FreeScene:
@@ -205,7 +205,7 @@ def tilted_vessel(**given) -> FreeScene:
 
 def rest(device: str, precision: str) -> list[Row]:
     """Compare a Newtonian fluid at rest in a vessel with slanted sides with hydrostatics, in 2D and 3D."""
-    found = []
+    rows = []
     for depth, name in ((0.0, "plane"), (0.05, "space")):
         simulation = FreeSimulation(tilted_vessel(depth=depth), device=device, precision=precision)
         run = simulation.run()
@@ -217,7 +217,7 @@ def rest(device: str, precision: str) -> list[Row]:
         # which the exact pressure is computed.
         full = (state.cells("fill") == 1) & (exact > 2000 * 9.81 * 0.02) & (state.cells("room") > 0.25)
         off = float(np.abs(pressure - exact)[full].max())
-        found += [
+        rows += [
             # Measured errors in a plane: 5e-4 of the pressure at the bottom, 0.06 mm/s of mean speed, and 0.09 % of the
             # volume. In space: 1.5e-3 of the pressure at the bottom, 0.17 mm/s of mean speed, and 0.14 % of the volume.
             Row(
@@ -230,7 +230,7 @@ def rest(device: str, precision: str) -> list[Row]:
             Row(f"{name}: speed, mean", float(run.series["mean_speed"][-1]), 0.0, 2e-4, "m/s", scale=1.0),
             Row(f"{name}: volume", 1 + run.result["volume_error"], 1.0, 2e-3),
         ]
-    return found
+    return rows
 
 
 CASES = [

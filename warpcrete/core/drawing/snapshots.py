@@ -144,12 +144,12 @@ def snapshot_of(simulation: DrawnSimulation, sources: Mapping[str, Callable[[], 
     time, steps = simulation.stepper.time, simulation.stepper.steps
     if (latest.snapshot.time, latest.snapshot.steps) != (time, steps):
         latest.snapshot = Snapshot(time, steps, {})
-    found = latest.snapshot.values
-    new = {name: source() for name, source in sources.items() if name not in found}
+    values = latest.snapshot.values
+    new = {name: source() for name, source in sources.items() if name not in values}
     arrays = {name: value for name, value in new.items()
               if isinstance(value, DeviceArray) and value.size and _is_on_gpu(value)}  # fmt: skip
-    found |= {name: on_host(value) for name, value in new.items() if name not in arrays}
+    values |= {name: on_host(value) for name, value in new.items() if name not in arrays}
     if arrays:
-        found |= dict.fromkeys(arrays, PendingCopies(arrays, latest.pool))
+        values |= dict.fromkeys(arrays, PendingCopies(arrays, latest.pool))
     # Copy the dictionary, because other displays may add values to it while this snapshot is drawn.
-    return Snapshot(time, steps, {name: found[name] for name in sources}, latest.snapshot.derived)
+    return Snapshot(time, steps, {name: values[name] for name in sources}, latest.snapshot.derived)

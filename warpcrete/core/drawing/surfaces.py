@@ -54,8 +54,8 @@ class Level:
         ranges: list[slice] = []
         for axis in range(self.values.ndim):
             others = tuple(k for k in range(self.values.ndim) if k != axis)
-            found = np.flatnonzero((self.values > 0).any(others))
-            ranges.append(slice(max(found[0] - 1, 0), found[-1] + 2) if len(found) else slice(0, 0))
+            inner = np.flatnonzero((self.values > 0).any(others))
+            ranges.append(slice(max(inner[0] - 1, 0), inner[-1] + 2) if len(inner) else slice(0, 0))
         chosen = tuple(ranges)
         places = tuple(place[part] for place, part in zip(self.places, chosen, strict=True))
         return Level(places, self.values[chosen], {name: values[chosen] for name, values in self.fields.items()})
@@ -128,8 +128,8 @@ def revolved(level: Level, half: bool = False) -> Surface:
     a, b = sides.T
     faces = triangles(np.stack([here + a, there + a, there + b, here + b], 2).reshape(-1, 4))
     fields = {name: np.tile(values[used], around) for name, values in net.fields.items()}
-    found = _surface(vertices.reshape(-1, 3), faces, fields)
-    return _joined(found, _section(net)) if half else found
+    surface = _surface(vertices.reshape(-1, 3), faces, fields)
+    return _joined(surface, _section(net)) if half else surface
 
 
 def _section(net: _Net) -> Surface:
@@ -202,8 +202,8 @@ class _Net:
             self._inside = self._inside & (self._depths > 0)
         self._fields = {name: _padded(each) for name, each in level.fields.items()}
         self._cells = tuple(n - 1 for n in values.shape)
-        found = [self._crossings(axis) for axis in range(self._axes)]
-        cells, points, inner, free, by_cut = (np.concatenate([part[k] for part in found]) for k in range(5))
+        crossings = [self._crossings(axis) for axis in range(self._axes)]
+        cells, points, inner, free, by_cut = (np.concatenate([part[k] for part in crossings]) for k in range(5))
         corners = cells.shape[1]
         number = self._numbered(cells)
         flat = number[cells.ravel()]
@@ -274,13 +274,13 @@ class _Net:
 
     def _around(self, axis: int) -> np.ndarray:
         """Return the index offsets from a node to the cells around the grid edge from this node along `axis`."""
-        found = np.zeros((2 ** (self._axes - 1), self._axes), int)
+        offsets = np.zeros((2 ** (self._axes - 1), self._axes), int)
         if self._axes == 2:
-            found[0, 1 - axis] = -1
-            return found if axis == 0 else found[::-1]
-        found[:, (axis + 1) % 3] = [-1, 0, 0, -1]
-        found[:, (axis + 2) % 3] = [-1, -1, 0, 0]
-        return found
+            offsets[0, 1 - axis] = -1
+            return offsets if axis == 0 else offsets[::-1]
+        offsets[:, (axis + 1) % 3] = [-1, 0, 0, -1]
+        offsets[:, (axis + 2) % 3] = [-1, -1, 0, 0]
+        return offsets
 
     def _cell(self, index: np.ndarray) -> np.ndarray:
         return np.asarray(np.ravel_multi_index(tuple(index.T), self._cells))

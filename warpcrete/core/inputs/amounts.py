@@ -224,12 +224,12 @@ def written_unit(values: Iterable[object], unit: str) -> str | None:
 
     `unit` is the internal unit. Synonyms count as one unit: the result for "5 m³/h" is "m3/h".
     """
-    found: set[float | None] = set()
+    factors: set[float | None] = set()
     for value in values:
         text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
         form = _compiled(unit)[0].fullmatch(text if text.isascii() else _plain_digits(text))
-        found.add(accepted_units(unit)[form[2]] if form and form[2] else None)
-    factor = found.pop() if len(found) == 1 else None
+        factors.add(accepted_units(unit)[form[2]] if form and form[2] else None)
+    factor = factors.pop() if len(factors) == 1 else None
     return next((name for name in unit_names(unit) if accepted_units(unit)[name] == factor), None)
 
 
@@ -288,10 +288,10 @@ def _advice(text: str, unit: str) -> str:
         return _advice(rest, unit)
     if re.match(r"[-+]?[0-9]{1,3}(?:[.,][0-9]{3})+[.,][0-9]*(?![0-9.,])", text):
         return "leave out separators of thousands"
-    if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):
+    if match := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):
         return (
-            f"the comma in {found[0]} may separate decimals or thousands; write {found[1]}.{found[2]} or "
-            f"{found[1]}{found[2]}"
+            f"the comma in {match[0]} may separate decimals or thousands; write {match[1]}.{match[2]} or "
+            f"{match[1]}{match[2]}"
         )
     if len(pieces := listed(text)) > 1 and all(math.isfinite(_parsed(each, unit)) for each in pieces):
         return f"this is a list of {len(pieces)} numbers, but must be one number"
@@ -300,8 +300,8 @@ def _advice(text: str, unit: str) -> str:
                 else "write a decimal number instead of a fraction")  # fmt: skip
     if unit == "m" and (bore := re.fullmatch(r"DN\s*([0-9]{2,4})", text, re.IGNORECASE)):
         return f"write the inner diameter, as in '{bore[1]} mm'"
-    found = re.fullmatch(rf"[-+]?(?:{COMMA}|{DECIMAL})\s*(.*)", text)
-    return _suggested_unit(found[1], unit) if found and found[1] else ""
+    match = re.fullmatch(rf"[-+]?(?:{COMMA}|{DECIMAL})\s*(.*)", text)
+    return _suggested_unit(match[1], unit) if match and match[1] else ""
 
 
 WORDS_OF_UNITS: Mapping[str, Mapping[str, str]] = {
@@ -322,8 +322,8 @@ def _suggested_unit(written: str, unit: str) -> str:
     `unit` is the internal unit. A synonym such as "Pas" is suggested in its usual spelling.
     """
     words = WORDS_OF_UNITS.get(unit, {})
-    if (meant := words.get(written) or words.get(written.lower())) is not None:
-        return f"did you mean {meant!r}?"
+    if (similar := words.get(written) or words.get(written.lower())) is not None:
+        return f"did you mean {similar!r}?"
     if len(written) > 1 and unit.startswith(written):
         return f"did you mean {unit!r}?"
     near = re.search(r"'(.*)'", suggested(written, accepted_units(unit)))

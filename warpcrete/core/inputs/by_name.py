@@ -97,12 +97,12 @@ class ByName(CompositeRule):
 
         For example, the entries `contact` and `contact_FIELD` become one entry `contact` that holds the contact law.
         """
-        found, value = dict(values), values.get(field.name)
+        parameters, value = dict(values), values.get(field.name)
         kind = self.class_of(field, value)
         if kind is not None:
-            own = {key: found.pop(key) for key in own_fields(field.name, kind) if key in found}
-            found[field.name] = _object(field.name, kind, value if isinstance(value, kind) else None, own)
-        return found
+            own = {key: parameters.pop(key) for key in own_fields(field.name, kind) if key in parameters}
+            parameters[field.name] = _object(field.name, kind, value if isinstance(value, kind) else None, own)
+        return parameters
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
         """Return an object's class name and field values, and whether an equal object can be made from them.
@@ -175,7 +175,7 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
         refuse(field.name, value, problem, f"if you trust it, import {module} first, or use 'warpcrete --trust ...'")
     try:
         with _folder_on_path():
-            found = getattr(importlib.import_module(module), name, None)
+            imported_class = getattr(importlib.import_module(module), name, None)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise SceneError(f"{field.name} = {value!r}: cannot be imported: {error}") from error
@@ -184,10 +184,10 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
     except Exception as error:  # The import of a user's module may raise any exception.
         said = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise SceneError(f"{field.name} = {value!r}: cannot be imported ({said})") from error
-    if found is None:
+    if imported_class is None:
         hint = "move the class to a module file of its own" if module == "__main__" else "check the name of the class"
         refuse(field.name, value, f"the module {module!r} has no {name!r}", hint)
-    return _checked(field, found, value)
+    return _checked(field, imported_class, value)
 
 
 def _checked(field: Field, found: object, name: str) -> type:

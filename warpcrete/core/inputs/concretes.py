@@ -154,13 +154,13 @@ def _concrete(given: Record, path: Path, depth: int) -> NamedConcrete:
     texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
     sections: dict[str, Record] = {}
     for section in SECTIONS:
-        found: object = given.get(section) or {}
-        if not is_dict(found):
+        entries: object = given.get(section) or {}
+        if not is_dict(entries):
             with errors_located_at(given, section):
                 problem = "must hold 'name: value' lines"
                 hint = f"write each property on a line of its own below '{section}:', and indent these lines"
-                refuse(f"concrete {section}", found, problem, hint)
-        sections[section] = found
+                refuse(f"concrete {section}", entries, problem, hint)
+        sections[section] = entries
     factor_sources = _factor_sources(given, sections["flow"], name_of(path))
     if "mix" in given and not is_dict(given["mix"]):
         with errors_located_at(given, "mix"):

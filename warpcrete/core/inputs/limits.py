@@ -133,9 +133,9 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
         problem = f"is impossible: must be {limit.low:g} to {limit.high:g}{shown} ({limit.why})"
         refuse(field, value, problem, _meant(value, unit, limit))
     if value > 0 and limit.usual is not None and not limit.usual[0] <= value <= limit.usual[1]:
-        meant = _meant(value, unit, limit)
+        suggestion = _meant(value, unit, limit)
         stated = written_text(value) or f"{value:g}{shown}"
-        warn(f"{field} = {stated}: is unusual: {limit.why}{f'; {meant}' if meant else ''}")
+        warn(f"{field} = {stated}: is unusual: {limit.why}{f'; {suggestion}' if suggestion else ''}")
 
 
 def check_whole(field: str, value: int) -> None:

@@ -28,12 +28,12 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
 def _others(batch: Batch) -> list[Stage | Kernel]:
     """Return the kernels for measurements, for bonds, and for copying the motion of spheres to their bodies."""
     f, scalar = batch.features, batch.scalar
-    found: list[Stage | Kernel] = [
+    launches: list[Stage | Kernel] = [
         probes.body_probe(scalar),
         probes.wall_probe(scalar),
         probes.contact_probe(scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
         *probes.column_kernels(),
     ]
     if f.bonds:
-        found += bond_kernels(scalar)
-    return found if f.clumps else [*found, batch.stage(sync_kernel(scalar), batch.sphere_count)]
+        launches += bond_kernels(scalar)
+    return launches if f.clumps else [*launches, batch.stage(sync_kernel(scalar), batch.sphere_count)]

@@ -203,10 +203,10 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
 
 def _largest_body(scene: Scene) -> tuple[float, float]:
     """Return the radius [m] and the density [kg/m3] of the largest body of a scene."""
-    found = [(float(np.max(b.sizes)) / 2, float(b.density)) for b in scene.bodies if len(b.positions)]
+    bodies = [(float(np.max(b.sizes)) / 2, float(b.density)) for b in scene.bodies if len(b.positions)]
     if scene.fill is not None:
-        found.append((scene.fill.sizes.largest / 2, scene.fill.density))
-    return max(found, default=(0.01, 2500.0))
+        bodies.append((scene.fill.sizes.largest / 2, scene.fill.density))
+    return max(bodies, default=(0.01, 2500.0))
 
 
 def subcycled(scene: Scene) -> bool:

@@ -42,11 +42,11 @@ NUMBERS = (
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
     """Return, for each struct of a state, the names of the arrays that a state stores: all except those in OF_BATCH."""
-    found: dict[str, tuple[str, ...]] = {}
+    stored_fields: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
-        found[name] = tuple(field for field in fields if field not in OF_BATCH.get(name, ()))
-    return found
+        stored_fields[name] = tuple(field for field in fields if field not in OF_BATCH.get(name, ()))
+    return stored_fields
 
 
 class HoldingBatch(Protocol):

@@ -175,19 +175,19 @@ class Stepper:
         """
         self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
         self.rebuild()
-        made = make_bonds(self.model, self.state, bonds, kind, group)
+        bond_count = make_bonds(self.model, self.state, bonds, kind, group)
         self.batch.set(self.index, skin=self.skin)
         self.rebuild()
         self._estimated = False
-        return made
+        return bond_count
 
     def hydrate(self, fraction: float, seed: int) -> int:
         """Hydrate (stiffen) a random `fraction` of the bonds of the first kind, and return their number."""
         self._estimated = False
-        made = reassign_bonds(self.model, self.state, 1, HYDRATED, fraction, seed)
-        if self.batch.features.subcycling and made:
+        bond_count = reassign_bonds(self.model, self.state, 1, HYDRATED, fraction, seed)
+        if self.batch.features.subcycling and bond_count:
             self._choose_rounds()
-        return made
+        return bond_count
 
     def apply_rest(self) -> float:
         """Apply the effects of a time in which the concrete stands still (a rest).

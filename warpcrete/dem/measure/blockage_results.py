@@ -71,16 +71,16 @@ def not_blocked_words(run: Run) -> str:
 
 def blocked_words(run: Run) -> str:
     """Return a phrase that says where the pipe of `run` was blocked, with the evidence for the blockage."""
-    found = {
+    evidence = {
         name: number(run.result[f"blocked_{name}"])
         for name in ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")
     }
-    ending = " spans" if found["chains"] == 1 else "s span"
-    spans = f"{found['chains']:.0f} force chain{ending}" if found["chains"] else "no force chain spans"
-    travel = found["from_travel"]
+    ending = " spans" if evidence["chains"] == 1 else "s span"
+    spans = f"{evidence['chains']:.0f} force chain{ending}" if evidence["chains"] else "no force chain spans"
+    travel = evidence["from_travel"]
     since = f"a piston travel of {travel:.3g} m" if travel > 0 else "the piston began to move"
     return (
-        f"at {found['at']:.3g} m along the pipe: part of the concrete has stood still since {since}, while "
-        f"the pressure rose from {found['pressure_before'] / 1e3:.3g} to {found['pressure'] / 1e3:.3g} kPa; {spans} "
-        f"the section there, at a solid fraction of {found['solid_fraction']:.2f}"
+        f"at {evidence['at']:.3g} m along the pipe: part of the concrete has stood still since {since}, while "
+        f"the pressure rose from {evidence['pressure_before'] / 1e3:.3g} to {evidence['pressure'] / 1e3:.3g} kPa; "
+        f"{spans} the section there, at a solid fraction of {evidence['solid_fraction']:.2f}"
     )

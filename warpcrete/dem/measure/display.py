@@ -195,10 +195,10 @@ class ElementDisplay(Display):
 
     def plots(self) -> tuple[Plot, ...]:
         """Return the plots over time: energies, the pressure on a piston, and the shape of the concrete in a vessel."""
-        scene, found = self.simulation.scene, []
+        scene, plots = self.simulation.scene, []
         if scene.pressure is not None:
             pressure = Curve("piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3, RUN)
-            found.append(Plot("pressure", "Pressure on the piston", (pressure,)))
+            plots.append(Plot("pressure", "Pressure on the piston", (pressure,)))
         if scene.vessel is not None:
             test = scene.vessel.test
             names = test.curves or {name: words for name, words in HEAP.items() if name in test.columns}
@@ -208,23 +208,23 @@ class ElementDisplay(Display):
                 for (n, words, factor, unit), colour in zip(described, SERIES, strict=False)
             )
             if curves:
-                found.append(Plot("shape", "Shape", curves))
+                plots.append(Plot("shape", "Shape", curves))
         energies = tuple(Curve(name, label, lambda row, n=name: row[n], c) for name, (label, c) in ENERGIES.items())
-        return (*found, Plot("energy", "Energy", energies))
+        return (*plots, Plot("energy", "Energy", energies))
 
     def profiles(self) -> tuple[Profile, ...]:
         """Return the curves to plot: velocity over the radius of the pipe, and stresses along the pipe.
 
         The stresses are left out if the scene does not measure them in slices.
         """
-        scene, found = self.simulation.scene, []
+        scene, profiles = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
-            found.append(Profile("velocity", title, (Points("aggregates", self._velocities, RUN),)))
+            profiles.append(Profile("velocity", title, (Points("aggregates", self._velocities, RUN),)))
         if scene.stations is not None:
             curves = tuple(Points(name, lambda c=column: self._stresses(c), colour) for name, column, colour in ALONG)
-            found.append(Profile("pressure", "Pressure [kPa] along the pipe [m]", curves))
-        return tuple(found)
+            profiles.append(Profile("pressure", "Pressure [kPa] along the pipe [m]", curves))
+        return tuple(profiles)
 
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the mid-points of all filled slices along the pipe [m] and their stress [kPa] named `column`."""
@@ -297,7 +297,7 @@ class ElementDisplay(Display):
 
     def walls(self) -> list[DrawnWall]:
         """Return the walls to draw as triangle meshes; infinite planes cannot be drawn."""
-        found = []
+        drawn_walls = []
         for number in self._drawn:
             wall = self._model.walls[number]
             surface = wall.drawn()
@@ -306,8 +306,8 @@ class ElementDisplay(Display):
             colour = COLOURS.get(wall.name, OTHER)
             if (worn := self._worn(number)) is not None:
                 (vertices, faces, _), colour = worn.patches.surface(), WORN
-            found.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, colour))
-        return found
+            drawn_walls.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, colour))
+        return drawn_walls
 
     def _worn(self, number: int) -> Any:
         """Return the wear record of wall `number`; None without a wear record or without patches.

@@ -64,15 +64,15 @@ def main_body(spheres: np.ndarray) -> np.ndarray:
     number = {(a, b): n for n, (a, b) in enumerate(corners)}
     # A flood fill starts at the cell with the most spheres and visits all occupied cells that are connected to it.
     first = int(np.argmax(count))
-    found, waiting = {first}, [first]
+    members, waiting = {first}, [first]
     while waiting:
         a, b = corners[waiting.pop()]
         for key in ((a + i, b + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
             beside = number.get(key)
-            if beside is not None and beside not in found:
-                found.add(beside)
+            if beside is not None and beside not in members:
+                members.add(beside)
                 waiting.append(beside)
-    return np.isin(cell, np.fromiter(found, int))
+    return np.isin(cell, np.fromiter(members, int))
 
 
 def spread(spheres: np.ndarray) -> float:

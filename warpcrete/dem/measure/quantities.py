@@ -124,8 +124,8 @@ class Known:
     @property
     def held(self) -> float | None:
         """Mean pressure at the end of the pause before the last stroke [Pa]; None if no sample was taken then."""
-        found = held(self.scene.pipe, self.series)[-1]
-        return found if np.isfinite(found) else None
+        pressure = held(self.scene.pipe, self.series)[-1]
+        return pressure if np.isfinite(pressure) else None
 
 
 def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: float) -> bool:

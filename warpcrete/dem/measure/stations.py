@@ -56,10 +56,10 @@ class StationLog:
         Each column has the shape (slices,). Measured values are means over the chosen samples. They are NaN in slices
         that concrete did not fill in every chosen sample.
         """
-        found = np.mean(np.array(self.samples)[chosen], axis=0)
+        means = np.mean(np.array(self.samples)[chosen], axis=0)
         stations = self.stations
         table = {"place": stations.places - stations.origin, "radius": stations.bores.at(stations.places)}
-        return table | {name: found[:, number] for number, name in enumerate(COLUMNS)}
+        return table | {name: means[:, number] for number, name in enumerate(COLUMNS)}
 
 
 def measured(stations: Stations, model: Model, state: State, travel: float) -> np.ndarray:
@@ -68,26 +68,26 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     Slices that concrete does not fill are NaN. `travel` is the arc length of the piston [m].
     """
     axis, edges = stations.axis, np.array(stations.edges)
-    found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
+    table = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
     seen = read_arrays(model, state)
     spheres = _Spheres(seen, axis)
     if not np.any(spheres.solid):
-        return found
+        return table
     full = spheres.filled(edges, travel)
     volumes = stations.volumes
-    found[:, :2] = _stresses(stations, seen, spheres) / volumes[:, None]
-    found[:, 2] = spheres.wall_shear(stations, seen) / stations.surfaces()
+    table[:, :2] = _stresses(stations, seen, spheres) / volumes[:, None]
+    table[:, 2] = spheres.wall_shear(stations, seen) / stations.surfaces()
     ring = np.minimum((RINGS * spheres.apart / stations.bores.at(spheres.s)).astype(int), RINGS - 1)
     member = [ring == number for number in range(RINGS)]
     columns = np.stack([np.ones(len(ring)), spheres.density, spheres.speed, *member, *member], axis=1)
     columns[:, 3 + RINGS :] *= spheres.speed[:, None]
     sums = spheres.in_slices(edges, columns)
-    found[:, 3:5] = sums[:, :2] / volumes[:, None]
+    table[:, 3:5] = sums[:, :2] / volumes[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
-        found[:, 5] = sums[:, 2] / sums[:, 0]
-        found[:, 6:] = sums[:, 3 + RINGS :] / sums[:, 3 : 3 + RINGS]
-    found[~full] = np.nan
-    return found
+        table[:, 5] = sums[:, 2] / sums[:, 0]
+        table[:, 6:] = sums[:, 3 + RINGS :] / sums[:, 3 : 3 + RINGS]
+    table[~full] = np.nan
+    return table
 
 
 def stresses_along(
@@ -115,9 +115,9 @@ def stresses_along(
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
     along += 2 * np.einsum("ij,ij,ij->i", stress[:, 3:], t, t[:, [1, 2, 0]])
     each = np.stack([stress[:, :3].sum(axis=1) / 3, along], axis=1)
-    found = _spread_evenly(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes[:, None]
-    found[~_filled_slices(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
-    return found
+    stresses = _spread_evenly(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes[:, None]
+    stresses[~_filled_slices(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
+    return stresses
 
 
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
@@ -184,7 +184,7 @@ class _Spheres:
         The weight is the part of a sphere's solid volume between the two planes across the axis that bound the slice.
         `edges` contains the arc lengths of the slices' ends [m].
         """
-        found = np.zeros((len(edges) - 1, columns.shape[1]))
+        sums = np.zeros((len(edges) - 1, columns.shape[1]))
         for here, slices in _overlaps(self.s - self.radius, self.s + self.radius, edges):
             # The fraction of a sphere's volume below a plane is (2 + 3 z - z^3) / 4. Here z is the height of the plane
             # above the sphere's centre, divided by the sphere's radius.
@@ -192,8 +192,8 @@ class _Spheres:
             below, under = (0.25 * (2 + 3 * height - height**3) for height in z)
             volume = self.share[here] * (under - below)
             for column in range(columns.shape[1]):
-                found[:, column] += np.bincount(slices, volume * columns[here, column], len(found))
-        return found
+                sums[:, column] += np.bincount(slices, volume * columns[here, column], len(sums))
+        return sums
 
     def wall_shear(self, stations: Stations, seen: StationArrays) -> np.ndarray:
         """Return the force that the wall exerts on the concrete against the flow in each slice [N], shape (slices,)."""
@@ -259,13 +259,13 @@ def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges
     # contact's value over a small length, because the code divides by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
-    found = np.zeros((len(edges) - 1, values.shape[1]))
+    sums = np.zeros((len(edges) - 1, values.shape[1]))
     for here, slices in _overlaps(low, low + width, edges):
         inside = np.minimum(low[here] + width[here], edges[slices + 1]) - np.maximum(low[here], edges[slices])
         part = np.maximum(inside, 0.0) / width[here]
         for column in range(values.shape[1]):
-            found[:, column] += np.bincount(slices, part * values[here, column], len(found))
-    return found
+            sums[:, column] += np.bincount(slices, part * values[here, column], len(sums))
+    return sums
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

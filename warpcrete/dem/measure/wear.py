@@ -264,6 +264,6 @@ class WearMap:
 
         If the scene has none, it is the most worn plane of finite area, or None.
         """
-        found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
-        shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
+        bounded_walls = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
+        shaped = [wall for wall in bounded_walls if not isinstance(wall.patches, PlanePatch)] or bounded_walls
         return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

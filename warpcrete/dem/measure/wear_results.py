@@ -63,11 +63,11 @@ def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
     touched. Patches on the outside of a mesh are left out, unless an aggregate touched them. In other walls, and in
     walls that were never touched, all patches are selected.
     """
-    found = places(wall, scene)
+    positions = places(wall, scene)
     touched = wall.done[:, 2] > 0
-    if found is None or not touched.any():
+    if positions is None or not touched.any():
         return slice(None)
-    s = found[0]
+    s = positions[0]
     return (s >= s[touched].min()) & (s <= s[touched].max()) & (inside(wall, scene) | touched)
 
 
@@ -106,8 +106,8 @@ def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _place(wall: WornWall, known: Any, which: int, factor: float) -> float | None:
-    found = places(wall, known.scene)
-    return None if found is None else factor * float(found[which][_worst(wall)])
+    positions = places(wall, known.scene)
+    return None if positions is None else factor * float(positions[which][_worst(wall)])
 
 
 QUANTITIES = (
@@ -164,11 +164,11 @@ def plot_wear(run: WornRun, wall: WornWall | None = None) -> Figure | None:
     """
     wall = wall or (run.wear.main if run.wear is not None else None)
     time = float(run.series["time"][-1])
-    found = places(wall, run.scene) if wall is not None else None
-    if wall is None or found is None or not time > 0:
+    positions = places(wall, run.scene) if wall is not None else None
+    if wall is None or positions is None or not time > 0:
         return None
     shown = inside(wall, run.scene)
-    s, angle = found[0][shown], found[1][shown]
+    s, angle = positions[0][shown], positions[1][shown]
     areas = wall.patches.areas[shown]
     hourly = 1e6 * HOUR / time * wall.depth[shown]
     figure = new_figure(run.scene.caption, 2.8, 2.8)

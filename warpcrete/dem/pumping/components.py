@@ -110,11 +110,11 @@ def sizes_of(given: AggregateParameters, diameter: float) -> Sizes:
 
     Raises :class:`SceneError` if the largest aggregate is not smaller than the `diameter` of the pipe [m].
     """
-    found = _distribution(given)
-    if found.largest >= diameter:
+    sizes = _distribution(given)
+    if sizes.largest >= diameter:
         problem = f"must be below the pipe's diameter, {diameter:g} m"
-        refuse("size_max", found.largest, problem, "use smaller aggregates or a wider pipe")
-    return found
+        refuse("size_max", sizes.largest, problem, "use smaller aggregates or a wider pipe")
+    return sizes
 
 
 def _distribution(given: AggregateParameters) -> Sizes:

@@ -57,40 +57,40 @@ def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
     """Return the checks of a run in a vessel by name, each as a tuple (True if passed, text with measured values)."""
     result, test = run.result, run.scene.vessel.test
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
-    found = {
+    checks = {
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
         "no grain swallowed": (overlap < 2.0, overlap_words(run.scene, overlap)),
         "enough grains": (grains >= FEWEST, f"{grains}; at least {FEWEST} are needed to represent concrete"),
     }
     if test.on_plate:
         strays = result["strays"]
-        found["one heap"] = (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap")
-    return found | test.judge(run) | energy_check(run)
+        checks["one heap"] = (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap")
+    return checks | test.judge(run) | energy_check(run)
 
 
 def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
     """Return remarks on simplifications of a scene; `what` names the surfaces along which concrete may slide freely."""
-    found = []
+    texts = []
     if given.law == "mortar":
-        found.append(
+        texts.append(
             "law mortar: slump differs by up to a quarter from the closed form at yield stresses of 20 to 500 Pa; at "
             "1000 Pa a cone remains standing (with law plastic it slumps)"
         )
     if given.law == "plastic":
-        found.append(
+        texts.append(
             "law plastic: spread lies between the closed forms at yield stresses of 200 to 2000 Pa; heaps with a lower "
             "yield stress stop too early"
         )
     if given.contact is not None and not given.is_gripped:
-        found.append(
+        texts.append(
             "plate and mould have the same contact law as grains have between them, because "
             f"{type(given.contact).__name__} has no parameter for friction"
         )
     elif given.mould_grip_or_default == 0:
-        found.append(f"concrete slides freely along {what}; use --mould-grip 1 for friction there")
+        texts.append(f"concrete slides freely along {what}; use --mould-grip 1 for friction there")
     if given.bulk_density is None:
-        found.append(
+        texts.append(
             f"only the grains have mass, {given.packed * given.density:.4g} kg/m3 in the full vessel; --bulk-density "
             "adds the mortar's mass to them"
         )
-    return tuple(found)
+    return tuple(texts)

@@ -29,12 +29,12 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
     if error is None or math.isnan(error):
         return {}
     passed = abs(error) < LARGEST_ENERGY_ERROR
-    found = f"error {100 * error:.3g} % of the energy"
+    text = f"error {100 * error:.3g} % of the energy"
     if not passed:
-        found += f"; usual cure: {_finer(run.scene, abs(error))}"
+        text += f"; usual cure: {_finer(run.scene, abs(error))}"
         if own := own_laws(run.scene.laws()):
-            found += f", or energy() and the losses of {own} are inconsistent with its force()"
-    return {"energy balance": (passed, found)}
+            text += f", or energy() and the losses of {own} are inconsistent with its force()"
+    return {"energy balance": (passed, text)}
 
 
 def _finer(scene: Scene, error: float) -> str:
@@ -71,11 +71,11 @@ def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
     if "largest_overlap" not in result:
         return {}
     overlap, balance = result["largest_overlap"], result["momentum_balance_error"]
-    found = {"no body swallowed": (overlap < LARGEST_OVERLAP, overlap_words(run.scene, overlap))}
+    checks = {"no body swallowed": (overlap < LARGEST_OVERLAP, overlap_words(run.scene, overlap))}
     if any(run.scene.gravity):
         text = f"error {100 * balance:.3g} % of the largest impulse"
-        found["momentum balance"] = (balance < LARGEST_MOMENTUM_ERROR, text)
-    return found | energy_check(run)
+        checks["momentum balance"] = (balance < LARGEST_MOMENTUM_ERROR, text)
+    return checks | energy_check(run)
 
 
 def warn_of_coarse_step(run: Run) -> None:
@@ -83,9 +83,9 @@ def warn_of_coarse_step(run: Run) -> None:
 
     The cause may also be a wrong contact law, if the law is defined outside this package.
     """
-    for passed, found in energy_check(run).values():
+    for passed, text in energy_check(run).values():
         if not passed:
             own = ", or the contact law is wrong" if own_laws(run.scene.laws()) else ""
             warnings.warn(
-                f"the time step is too coarse for the impacts in this run{own}: energy balance, {found}", stacklevel=2
+                f"the time step is too coarse for the impacts in this run{own}: energy balance, {text}", stacklevel=2
             )

@@ -34,15 +34,15 @@ def elements_of(values: Mapping[str, object], known: Sequence[str], default: str
     name = str(name) if isinstance(name, os.PathLike) else name
     if not isinstance(name, str) or all(each in values for each in known):
         return {}
-    found = completed(name)
-    section = found.elements or _of_flow(found)
-    if found.mix is not None:
-        layer_given = {"layer_yield", "layer_viscosity"} <= set(found.mix.elements)
-        section = merged(found.elements, _of_flow(found, layer_given), found.mix.elements)
+    concrete = completed(name)
+    section = concrete.elements or _of_flow(concrete)
+    if concrete.mix is not None:
+        layer_given = {"layer_yield", "layer_viscosity"} <= set(concrete.mix.elements)
+        section = merged(concrete.elements, _of_flow(concrete, layer_given), concrete.mix.elements)
     sized = any(size in values or size in section for size in SIZES)
-    if found.flow and not sized and (found.mix is not None or not found.elements):
+    if concrete.flow and not sized and (concrete.mix is not None or not concrete.elements):
         warn(
-            f"concrete {found.name} has no sieve curve, so its aggregate has the default sizes of the scene; give "
+            f"concrete {concrete.name} has no sieve curve, so its aggregate has the default sizes of the scene; give "
             "sieve openings [mm] with the fractions that pass them, in a mix 'sieve: {4: 0, 8: 0.4, 16: 1}', or as "
             "the parameter sizes='4:0,8:0.4,16:1'"
         )
@@ -53,8 +53,8 @@ def elements_of(values: Mapping[str, object], known: Sequence[str], default: str
     return known_only("elements", section, known, name)
 
 
-def _of_flow(found: NamedConcrete, layer_given: bool = False) -> Record:
-    """Return bulk density and slip layer of the concrete `found`, of which only flow properties are known.
+def _of_flow(concrete: NamedConcrete, layer_given: bool = False) -> Record:
+    """Return bulk density and slip layer of `concrete`, of which only flow properties are known.
 
     The walls then have no friction and resist only by the slip layer. Parameters that are not returned keep the values
     of Zhan (2019, Table 1).
@@ -62,10 +62,10 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> Record:
     Discrete elements support only Bingham's law for the slip layer. Raises :class:`SceneError` for another law, unless
     `layer_given` is True. The caller then replaces the values of the layer.
     """
-    flow = flow_amounts(found)
+    flow = flow_amounts(concrete)
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
     if missing:
-        problem = f"missing in the concrete {found.name!r}, but needed by discrete elements"
+        problem = f"missing in the concrete {concrete.name!r}, but needed by discrete elements"
         hint = "add what is missing to the section 'flow' of the concrete's file, or add a section 'elements'"
         refuse("concrete flow", ", ".join(missing), problem, hint)
     for name, plain in (("slip_flow_index", 1.0), ("slip_quadratic_viscosity", 0.0)):

@@ -34,7 +34,7 @@ def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
     """
     if pipe is None or pipe.stops is None:
         return []
-    stops, found = pipe.stops, []
+    stops, strokes = pipe.stops, []
     for number in range(stops.count + 1):
         begin = number * stops.period
         stop, end = _stop(stops, number)
@@ -43,8 +43,8 @@ def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
         if number == 0:
             moving |= time == 0
         if moving.any():
-            found.append(Stroke(moving, (time > end - HELD * (end - stop)) & (time <= end + 1e-9)))
-    return found
+            strokes.append(Stroke(moving, (time > end - HELD * (end - stop)) & (time <= end + 1e-9)))
+    return strokes
 
 
 def _stop(stops: Stops, number: int) -> tuple[float, float]:

@@ -12,8 +12,8 @@ def allocate(struct: Any, device: wp.Device | str | None, into: object = None, *
     The struct is `into`, or a new instance of `struct` if `into` is None. Each keyword argument names a member. Its
     value is either host data to copy to the device, or a number of elements, for an array of zeros.
     """
-    made = struct() if into is None else into
+    filled_struct = struct() if into is None else into
     for name, value in values.items():
         make = wp.zeros if np.ndim(value) == 0 else wp.array
-        setattr(made, name, make(value, dtype=struct.vars[name].type.dtype, device=device))
-    return made
+        setattr(filled_struct, name, make(value, dtype=struct.vars[name].type.dtype, device=device))
+    return filled_struct

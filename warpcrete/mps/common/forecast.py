@@ -76,7 +76,7 @@ def flow_forecast(
     step = step_time(simulation)
     steps = max(1.0, course.duration / course.time_step)
     samples = math.ceil(course.duration / scene.sample_interval - 1e-9)
-    found = Forecast(
+    flow_time = Forecast(
         method="moving particles",
         device="",
         counts=flow.counts,
@@ -101,7 +101,7 @@ def flow_forecast(
         remarks=(*scene.remarks, *course.remarks),
     )
     simulation.release()
-    return found
+    return flow_time
 
 
 def coarser_run(simulation: FlowRun, unmet: str, **changes: object) -> tuple[Run | None, float, list[str]]:

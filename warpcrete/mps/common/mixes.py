@@ -213,8 +213,8 @@ def file_aggregates(values: Mapping[str, object]) -> dict[str, float]:
         return {}
     if all(each in values for each in AGGREGATES):
         return {}
-    found = mix_named(name)
-    return {} if found is None else found.aggregates
+    mix = mix_named(name)
+    return {} if mix is None else mix.aggregates
 
 
 def _flow_of(name: str) -> dict[str, float]:
@@ -223,8 +223,8 @@ def _flow_of(name: str) -> dict[str, float]:
         return {}
     if not is_file(name):
         one_of("concrete", name, (*flowing(), "own"))
-    found = flow_amounts(completed(name))
-    if not found:
+    constants = flow_amounts(completed(name))
+    if not constants:
         hint = f"add a section 'mix', or a section 'flow' with {', '.join(BINGHAM_CONSTANTS)}"
         refuse("concrete", name, "must have a section 'mix' or 'flow' to be simulated as a flow", hint)
-    return found
+    return constants

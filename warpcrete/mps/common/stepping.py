@@ -185,12 +185,12 @@ class Stepping(ABC):
 
     def outcomes(self) -> dict[str, dict[str, float]]:
         """Return, for each linear solve in the last step, the number of iterations and the residuals."""
-        found = {}
+        by_solve = {}
         for what, solve in self.solves().items():
             outcome: np.ndarray = solve.outcome.numpy()
             numbers = {"iterations": ITERATIONS, "before": BEFORE, "after": AFTER}
-            found[SOLVE_NAMES[what]] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
-        return found
+            by_solve[SOLVE_NAMES[what]] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
+        return by_solve
 
 
 class _Run:
@@ -245,9 +245,9 @@ class _Run:
         assert self._coroutine is not None
         try:
             while True:
-                wanted = next(self._coroutine) if error is None else self._coroutine.throw(error)
+                request = next(self._coroutine) if error is None else self._coroutine.throw(error)
                 error = None
-                self._flow.set_goal(wanted.time)
+                self._flow.set_goal(request.time)
                 if not self._flow.goal_reached:
                     return
         except StopIteration as end:

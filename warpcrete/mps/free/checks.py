@@ -20,8 +20,8 @@ def check_flow(volume_error: float) -> Check:
         if "volume_error" not in run.result:
             return NO_SAMPLE
         volume = run.result["volume_error"]
-        found = {"volume": (abs(volume) < volume_error, f"{100 * volume:+.2f} % largest change")}
+        checks = {"volume": (abs(volume) < volume_error, f"{100 * volume:+.2f} % largest change")}
         test = run.scene.test
-        return found | test.judge(run) if test else found
+        return checks | test.judge(run) if test else checks
 
     return check

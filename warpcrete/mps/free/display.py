@@ -122,41 +122,41 @@ class FreeDisplay(GridDisplay):
 
     def walls(self) -> list[DrawnWall]:
         """Return the drawn walls: the plate, the walls of the scene, and the mould or gate, which moves."""
-        scene, found = self.simulation.scene, []
+        scene, drawn_walls = self.simulation.scene, []
         below = -0.005
         if scene.about_axis:
-            found.append(_revolved("plate", np.array([[0.0, below], [scene.width, below]]), PLATE, False))
+            drawn_walls.append(_revolved("plate", np.array([[0.0, below], [scene.width, below]]), PLATE, False))
             if scene.gate:
                 corners = np.array(scene.outline)
                 shell = corners[corners[:, 0] > 0]
-                found.append(_revolved("mould", shell[np.argsort(shell[:, 1])], OTHER, True))
-            return found + self._standing_walls()
+                drawn_walls.append(_revolved("mould", shell[np.argsort(shell[:, 1])], OTHER, True))
+            return drawn_walls + self._standing_walls()
         deep = scene.depth or SHOWN_DEPTH
         low = -deep if scene.sides.get("front") == MIRROR else 0.0
         if scene.sides.get("bottom", WALL) == WALL:
             floor = np.array([[0.0, below], [scene.width, below]])
-            found.append(_extruded("plate", floor, PLATE, False, low, deep))
+            drawn_walls.append(_extruded("plate", floor, PLATE, False, low, deep))
         images = {a for a, _ in self._mirrored}
         for number, block in enumerate(scene.blocks):
             for a in sorted(images, reverse=True):
                 name = f"block{number + 1}" + ("" if a > 0 else "_image")
                 line = self._cropped(block) * [a, 1.0]
-                found.append(_extruded(name, line, OTHER, False, low, deep))
-        found += self._standing_walls()
+                drawn_walls.append(_extruded(name, line, OTHER, False, low, deep))
+        drawn_walls += self._standing_walls()
         if scene.gate:
-            found.append(_extruded("gate", self._cropped(scene.gate), OTHER, True, low, deep))
-        return found
+            drawn_walls.append(_extruded("gate", self._cropped(scene.gate), OTHER, True, low, deep))
+        return drawn_walls
 
     def _standing_walls(self) -> list[DrawnWall]:
         """Return the walls of the scene that stand still, and their mirror images."""
-        found = []
+        drawn_walls = []
         for wall in self.simulation.scene.walls:
             drawn = wall.drawn()
             if drawn is not None:
                 for a, b in self._mirrored:
                     name = wall.name + ("" if a > 0 else "_left") + ("" if b > 0 else "_front")
-                    found.append(DrawnWall(name, drawn[0] * [a, b, 1.0], drawn[1], False, PLATE))
-        return found
+                    drawn_walls.append(DrawnWall(name, drawn[0] * [a, b, 1.0], drawn[1], False, PLATE))
+        return drawn_walls
 
     def _cropped(self, points: Points) -> np.ndarray:
         """Return the corners `points` of a polygon [m], clipped to the simulated space, with the first one repeated."""

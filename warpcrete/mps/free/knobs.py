@@ -31,8 +31,8 @@ def free_knobs(
 
 def free_variants(given: FreeConcrete) -> dict[str, SceneArguments]:
     """Return variants of a flow with half and twice the yield stress or viscosity, as changes of its parameters."""
-    found = {}
+    variants = {}
     for name, words in (("yield_stress", "yield stress"), ("viscosity", "viscosity")):
         value = getattr(given.make_concrete(False), name)
-        found |= {f"half the {words}": {name: value / 2}, f"twice the {words}": {name: value * 2}}
-    return found
+        variants |= {f"half the {words}": {name: value / 2}, f"twice the {words}": {name: value * 2}}
+    return variants

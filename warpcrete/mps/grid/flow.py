@@ -57,8 +57,8 @@ class GridFlow(Stepping):
         self.flags, self.particles, self.mesh, self.walls = state.flags, state.particles, state.mesh, state.walls
         self.geometry, self.solid_after = state.geometry, state.solid_after
         self.g = grid_numbers(state)
-        wanted = min(threads or default_threads(), CHUNKS, state.slots // CELLS_PER_THREAD)
-        self.threads = 1 if self.parallel else max(1, wanted)
+        useful_threads = min(threads or default_threads(), CHUNKS, state.slots // CELLS_PER_THREAD)
+        self.threads = 1 if self.parallel else max(1, useful_threads)
         self._launcher = Launcher(self.threads, self.device)
         self.gate, self.barrier = self._launcher.gate, self._launcher.barrier
         self.full = state.layout.full or state.layout.periodic
@@ -205,8 +205,8 @@ class GridFlow(Stepping):
     @property
     def _systems(self) -> dict[int, System]:
         """Linear systems that each time step solves, by the keys VISCOSITY, PRESSURE and DENSITY."""
-        found = {VISCOSITY: self.viscous, PRESSURE: self.projection}
-        return found if self.dispersion is None else found | {DENSITY: self.dispersion}
+        systems = {VISCOSITY: self.viscous, PRESSURE: self.projection}
+        return systems if self.dispersion is None else systems | {DENSITY: self.dispersion}
 
     # The following methods return the stages of a step and the state for checkpoints.
 

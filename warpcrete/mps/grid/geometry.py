@@ -220,14 +220,14 @@ def _quarter_fractions(ends: np.ndarray) -> np.ndarray:
     # would be left out, so that concrete in an almost closed quarter would have no friction; hence the minimum.
     part = _open_fraction(_corner_values(half, range(1, axes + 1)), axes, MIN_QUARTER_FRACTION)
     pairs = AXIS_PAIRS[:1] if axes == 2 else AXIS_PAIRS
-    found = np.empty((len(pairs), 4, *cut.shape))
-    found[:] = np.where(low > 0, 1.0, 0.0)
+    fractions = np.empty((len(pairs), 4, *cut.shape))
+    fractions[:] = np.where(low > 0, 1.0, 0.0)
     for number, (first, second) in enumerate(pairs):
         others = tuple(b + 1 for b in range(axes) if b not in (first, second))
         quarters = part.mean(others) if others else part
         for n in range(4):
-            found[number, n][cut] = quarters[:, n % 2, n // 2]
-    return found
+            fractions[number, n][cut] = quarters[:, n % 2, n // 2]
+    return fractions
 
 
 def nearest_wall(
@@ -241,14 +241,14 @@ def nearest_wall(
 
     def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape = points.shape[:-1]
-        found, which = np.full(shape, np.inf), np.full(shape, everything[0][1] if everything else PLATE, np.int32)
+        shortest, which = np.full(shape, np.inf), np.full(shape, everything[0][1] if everything else PLATE, np.int32)
         for distance, number in everything:
             here = distances_from(distance, points)
             # If several walls are equally near, such as an inlet and the pipe around it, take the first of these walls.
             # Rounding errors must not decide, because they differ between processors.
-            which = np.where(here < found - ROUNDING * min(room.width), number, which).astype(np.int32)
-            found = np.minimum(found, here)
-        return found, which
+            which = np.where(here < shortest - ROUNDING * min(room.width), number, which).astype(np.int32)
+            shortest = np.minimum(shortest, here)
+        return shortest, which
 
     return nearest
 
@@ -268,13 +268,13 @@ def _room_walls(room: Room) -> list[tuple[Distance, int]]:
     def plane(axis: int, place: float, sign: float) -> Distance:
         return CylindricalDistance(lambda x: sign * (x[:, axis] - place), (axis,))
 
-    found: list[tuple[Distance, int]] = []
+    walls: list[tuple[Distance, int]] = []
     for axis, (lower, upper) in enumerate(room.sides):
         if lower == WALL:
-            found.append((plane(axis, room.origin[axis], 1.0), PLATE))
+            walls.append((plane(axis, room.origin[axis], 1.0), PLATE))
         if upper == WALL:
-            found.append((plane(axis, room.origin[axis] + room.cells[axis] * room.width[axis], -1.0), PLATE))
-    return found
+            walls.append((plane(axis, room.origin[axis] + room.cells[axis] * room.width[axis], -1.0), PLATE))
+    return walls
 
 
 def _weighted_volume(room: Room, ends: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
@@ -300,17 +300,17 @@ def _weighted_volume(room: Room, ends: np.ndarray, shut: np.ndarray, wall: np.nd
         radius = np.maximum(along * room.width[0], 0.0)[np.nonzero(cut)[0]]
     of_full = _hat_parts(np.ones((1, *[2] * axes)), fine)[0]
     of_cut = _hat_parts(ends[cut], fine, radius)
-    found = np.zeros(full.shape)
+    volume = np.zeros(full.shape)
     for number, neighbour in enumerate(np.ndindex((3,) * axes)):
         offset = [n - 1 for n in neighbour]
         part = np.where(full, of_full[number], 0.0)
         part[cut] = of_cut[:, number]
         if any(offset):
             stays = _shifted(wall, [-n for n in offset])
-            found += np.where(stays, part, 0.0)
+            volume += np.where(stays, part, 0.0)
             part = _shifted(np.where(stays, 0.0, part), offset)
-        found += part
-    return np.maximum(found, 1e-6 * float(found.max())) * float(np.prod(room.width))
+        volume += part
+    return np.maximum(volume, 1e-6 * float(volume.max())) * float(np.prod(room.width))
 
 
 def _hat_parts(ends: np.ndarray, fine: int, radius: np.ndarray | None = None) -> np.ndarray:
@@ -341,11 +341,11 @@ def _hat_parts(ends: np.ndarray, fine: int, radius: np.ndarray | None = None) ->
 
 def _shifted(values: np.ndarray, offset: Sequence[int]) -> np.ndarray:
     """Return `values` shifted by `offset`: entry i moves to i + `offset`, and entries without a source are 0."""
-    found = np.zeros_like(values)
+    moved = np.zeros_like(values)
     target = tuple(slice(max(n, 0), length + min(n, 0)) for n, length in zip(offset, values.shape, strict=True))
     source = tuple(slice(max(-n, 0), length + min(-n, 0)) for n, length in zip(offset, values.shape, strict=True))
-    found[target] = values[source]
-    return found
+    moved[target] = values[source]
+    return moved
 
 
 def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
@@ -383,8 +383,8 @@ def _positive_fraction(corners: np.ndarray, ends: int) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             part = high / (high - low)
         return np.where(low > 0, 1.0, np.where(high <= 0, 0.0, part))
-    found = np.zeros(corners.shape[:-ends])
+    total = np.zeros(corners.shape[:-ends])
     for n in range(LINES_PER_CELL):
         t = (n + 0.5) / LINES_PER_CELL
-        found = found + _positive_fraction((1 - t) * corners[..., 0] + t * corners[..., 1], ends - 1)
-    return found / LINES_PER_CELL
+        total = total + _positive_fraction((1 - t) * corners[..., 0] + t * corners[..., 1], ends - 1)
+    return total / LINES_PER_CELL

@@ -103,15 +103,15 @@ class GridStep:
 
     def _shared(self, kernel: Kernel, count: int, **named: object) -> list[Stage]:
         """Return stages in which the threads share the `count` items of a kernel, and then wait for one another."""
-        found, threads = [], self.flow.threads
+        stages, threads = [], self.flow.threads
         for part in self.parts:
             # The items are divided into strips of STRIP items. This thread processes the strips with the numbers part,
             # part + threads, part + 2 threads, ...
             strips = len(range(part * STRIP, count, threads * STRIP))
             last = (part + (strips - 1) * threads) * STRIP
             tasks = (strips - 1) * STRIP + min(STRIP, count - last) if strips else 0
-            found.append(self.flow.stage(kernel, tasks, worker=part, workers=threads, **named))
-        return [*found, *self.barrier]
+            stages.append(self.flow.stage(kernel, tasks, worker=part, workers=threads, **named))
+        return [*stages, *self.barrier]
 
     def _cells(self, kernel: Kernel, **named: object) -> list[Stage]:
         return self._shared(kernel, self.slots, **named)
@@ -139,15 +139,15 @@ class GridStep:
         the launch before it has written. The launches write to the two arrays `flow.extended` in alternation, so that
         the last one writes to the first array.
         """
-        flow, found = self.flow, []
+        flow, stages = self.flow, []
         for turn in range(EXTRAPOLATED_CELLS):
             to = (EXTRAPOLATED_CELLS - 1 - turn) % 2
-            found += self._cells(
+            stages += self._cells(
                 extend_kernel(self.scalar, self.kind), again=int(turn > 0), final=int(turn == EXTRAPOLATED_CELLS - 1),
                 before=flow.extended[1 - to], known_before=flow.known_faces[1 - to], after=flow.extended[to],
                 known_after=flow.known_faces[to],
             )  # fmt: skip
-        return found
+        return stages
 
     def _disperse(self) -> list[Stage]:
         """Return stages that move particles out of crowded regions.
@@ -192,14 +192,14 @@ class GridStep:
         The stages compute the coarser multigrid levels of the system, and list its rows with unknowns.
         """
         kernels, matrix = level_kernels(self.scalar, not self.flow.parallel), system.matrix
-        found = []
+        stages = []
         for level in range(1, len(system.first) - 1):
             rows = system.first[level + 1] - system.first[level]
-            found += self._shared(kernels.coarsen, rows, level=level, matrix=matrix)
-        found += self._shared(kernels.damp, system.first[-1], matrix=matrix)
+            stages += self._shared(kernels.coarsen, rows, level=level, matrix=matrix)
+        stages += self._shared(kernels.damp, system.first[-1], matrix=matrix)
         if self.flow.parallel:
-            found += scan_stages(matrix.free, matrix.before)
-        return [*found, *self._alone(kernels.list_rows, system.first[-1] if self.flow.parallel else 1, matrix=matrix)]
+            stages += scan_stages(matrix.free, matrix.before)
+        return [*stages, *self._alone(kernels.list_rows, system.first[-1] if self.flow.parallel else 1, matrix=matrix)]
 
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Stage]:
         """Return the stage that solves a system by conjugate gradients and adds the solution to the array `x`.

@@ -187,9 +187,9 @@ class GridState:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on, by name, for a checkpoint."""
-        found = {name: host_copy(getattr(self.particles, name)) for name in PARTICLE_ARRAYS}
-        found |= {f"mesh_{name}": host_copy(getattr(self.mesh, name)) for name in self.mesh_arrays}
-        return found | {"flags": host_copy(self.flags)}
+        arrays = {name: host_copy(getattr(self.particles, name)) for name in PARTICLE_ARRAYS}
+        arrays |= {f"mesh_{name}": host_copy(getattr(self.mesh, name)) for name in self.mesh_arrays}
+        return arrays | {"flags": host_copy(self.flags)}
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
         """Restore the state from a `state_dict`."""

@@ -135,11 +135,11 @@ def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int
     operation before it. A level has two arrays for its solution, `even` and `odd`, which smoothing reads and writes in
     alternation. The solution of the finest level is in `odd` before the cycle, and in `even` after it.
     """
-    found: list[tuple[int, int, int, int]] = []
+    operations: list[tuple[int, int, int, int]] = []
 
     def smooth(level: int, side: int, count: int) -> int:
         for _ in range(count):
-            found.append((int(SMOOTH), level, side, 0))
+            operations.append((int(SMOOTH), level, side, 0))
             side = 1 - side
         return side
 
@@ -153,14 +153,14 @@ def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int
             return smooth(level, side, COARSEST_STEPS - first)
         count = steps if level else 1
         side = smooth(level, side, count - first)
-        found.append((int(RESTRICT), level, side, 0))
+        operations.append((int(RESTRICT), level, side, 0))
         coarse = visit(level + 1, 0, True)
         if level + 1 < levels - 1:
             for _ in range(visits - 1):
                 coarse = visit(level + 1, coarse, False)
-        found.append((int(PROLONG), level, side, coarse))
+        operations.append((int(PROLONG), level, side, coarse))
         return smooth(level, side, count)
 
     if levels > 1:
         visit(0, 1, True)
-    return found
+    return operations

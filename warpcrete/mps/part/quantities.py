@@ -74,9 +74,9 @@ def _weight_text(run: Run) -> str:
 
 
 def _middle_text(run: Run) -> str:
-    found = run.result
+    result = run.result
     return (
-        f"{number(found['middle_loss']) / 1e3:.3g} kPa, {found['middle_ratio']:.3f} times the loss of straight pipe "
+        f"{number(result['middle_loss']) / 1e3:.3g} kPa, {result['middle_ratio']:.3f} times the loss of straight pipe "
         "of the same length and bore"
     )
 

@@ -169,13 +169,13 @@ class PartScene(Parametrised, PartSettings):
             refuse("spacing", self.spacing, problem, f"use {at_most(least / MIN_ACROSS)} m or less")
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
-            wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
+            shortest = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
             # Compare with a tolerance for rounding errors, because the lengths of the straight pipes at both ends are
             # differences of arc lengths.
-            if length < wanted * (1 - 1e-9):
+            if length < shortest * (1 - 1e-9):
                 share = "" if end > begin else "; this length is half of the pipe"
                 problem = f"is too short to measure the pressure loss of straight pipe{share}"
-                refuse("straight", length, problem, f"use {at_least(wanted)} m or more")
+                refuse("straight", length, problem, f"use {at_least(shortest)} m or more")
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if not self.step_error and self.time_step * fastest > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that flows at {fastest:.3g} m/s "
@@ -207,14 +207,16 @@ class PartScene(Parametrised, PartSettings):
 
     def _found_orientation(self) -> Orientation:
         """Return the orientation of the grid, and add a remark if the symmetry that `symmetry` asks for is missing."""
-        asked = self.symmetry == "half" and self.axis.is_plane
-        heavy = asked and self.has_heavy_aggregates and self.gravity > 0
-        found = orientation(self.axis, self.inner if asked else None, self.radius, self.rounded_spacing, heavy)
+        symmetric = self.symmetry == "half" and self.axis.is_plane
+        heavy = symmetric and self.has_heavy_aggregates and self.gravity > 0
+        grid_orientation = orientation(
+            self.axis, self.inner if symmetric else None, self.radius, self.rounded_spacing, heavy
+        )
         remarks = [remark for remark in self.remarks if not remark.endswith(SIMULATED_WHOLE)]
-        if found.obstacle:
-            remarks.append(found.obstacle + SIMULATED_WHOLE)
+        if grid_orientation.obstacle:
+            remarks.append(grid_orientation.obstacle + SIMULATED_WHOLE)
         object.__setattr__(self, "remarks", tuple(remarks))
-        return found
+        return grid_orientation
 
     @property
     def orientation(self) -> Orientation:
@@ -309,15 +311,15 @@ class PartScene(Parametrised, PartSettings):
         """All sections of the part in order, from start to end: straight pipes, bends, tapers and so on."""
         if self.parts:
             return self.parts
-        found, begin = [], 0.0
+        sections, begin = [], 0.0
         for piece in self.axis.pieces:
             end = begin + piece.length
             if isinstance(piece, Arc):
-                found.append(Section("bend", begin, end))
+                sections.append(Section("bend", begin, end))
             else:
-                found += self._straights(begin, end)
+                sections += self._straights(begin, end)
             begin = end
-        return tuple(found)
+        return tuple(sections)
 
     def _straights(self, begin: float, end: float) -> Iterator[Section]:
         """Yield the sections between two arc lengths [m] on a straight piece of the axis.

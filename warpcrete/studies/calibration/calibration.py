@@ -113,17 +113,17 @@ class Calibration:
         """
         assert self.posterior is not None
         runs = self.verification_values(target)
-        found = float(np.mean(runs)) if runs else self.posterior.predicted(target, self.posterior.best[None])[0]
-        return (found - target.value) / target.uncertainty
+        value = float(np.mean(runs)) if runs else self.posterior.predicted(target, self.posterior.best[None])[0]
+        return (value - target.value) / target.uncertainty
 
     @property
     def findings(self) -> list[str]:
         """Sentences about targets that cannot be reached, parameters that remain undetermined, and runs that failed."""
         if self.posterior is None:
             return []
-        found, task = self.posterior, self.task
+        posterior, task = self.posterior, self.task
         texts = []
-        still = insensitive_targets(found, task.fitted)
+        still = insensitive_targets(posterior, task.fitted)
         for target, (low, high) in still.items():
             names = ", ".join(free.name for free in task.free)
             between = f"{target.words(low)} and {target.words(high)}"
@@ -138,18 +138,19 @@ class Calibration:
                     f"it is {abs(self.off(target)):.1f} standard deviations off at best"
                 )
         for place, free in enumerate(task.free):
-            if found.relative_width(place) > 0.8:
+            if posterior.relative_width(place) > 0.8:
                 texts.append(f"the data do not determine {free.name}: its uncertainty is as large as its range")
-        for one, other, correlation in confounded_pairs(found):
+        for one, other, correlation in confounded_pairs(posterior):
             way = "increasing one and decreasing the other" if correlation < 0 else "increasing both"
             texts.append(
                 f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation {correlation:.2f})"
             )
         for place, free in enumerate(task.free):
-            edge = min(found.best[place], 1 - found.best[place])
+            edge = min(posterior.best[place], 1 - posterior.best[place])
             if edge < 0.02:
                 texts.append(
-                    f"{free.name} = {free.value(found.best[place]):.4g} lies at the edge of its range; widen the range"
+                    f"{free.name} = {free.value(posterior.best[place]):.4g} lies at the edge of its range; "
+                    "widen the range"
                 )
         failed = [trial for trial in self.searched if trial.failure]
         if failed:

@@ -27,12 +27,12 @@ def coarse_changes(task: Task, modules: Mapping[str, SceneModule]) -> dict[str, 
     - The cell width is a free parameter, or the cells are already wide.
     - The scene refuses wider cells.
     """
-    found = {}
+    by_group = {}
     for target, *_ in task.groups:
         changes = _changes(task, target, modules)
         if changes:
-            found[target.key] = changes
-    return found
+            by_group[target.key] = changes
+    return by_group
 
 
 def _changes(task: Task, target: Target, modules: Mapping[str, SceneModule]) -> SceneArguments:

@@ -92,9 +92,9 @@ def target_table(found: Calibration) -> list[str]:
     return lines
 
 
-def _predicted(found: Calibration, target: Target) -> tuple[float, float]:
-    assert found.posterior is not None
-    return found.posterior.predicted(target)
+def _predicted(calibration: Calibration, target: Target) -> tuple[float, float]:
+    assert calibration.posterior is not None
+    return calibration.posterior.predicted(target)
 
 
 def _shown(target: Target, deviation: float) -> str:

@@ -95,12 +95,14 @@ def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[f
     assert guide is not None
     random = np.random.default_rng(seed)
     optuna_points = _optuna_points(calibration, count // 4, seed) if calibration.searched else []
-    taken = np.array([trial.units for trial in calibration.searched] + optuna_points).reshape(-1, guide.best.size)
+    tried_points = np.array([trial.units for trial in calibration.searched] + optuna_points).reshape(
+        -1, guide.best.size
+    )
     drawn = random.choice(guide.samples, min(256, len(guide.samples)), replace=False)
     chosen: list[list[float]] = [guide.best.tolist()] if count - len(optuna_points) > 1 else []
     width = np.maximum(guide.samples.std(0), 1e-2)
     while len(chosen) < count - len(optuna_points):
-        others = np.concatenate([taken, np.array(chosen).reshape(-1, taken.shape[1])])
+        others = np.concatenate([tried_points, np.array(chosen).reshape(-1, tried_points.shape[1])])
         distance = np.min((((drawn[:, None] - others[None]) / width) ** 2).sum(-1), axis=1)
         chosen.append(drawn[np.argmax(distance)].tolist())
     return optuna_points + chosen
@@ -128,5 +130,5 @@ def _optuna_points(calibration: Calibration, count: int, seed: int) -> list[list
                 constraints={"failed": float(not sound)},
             )
         )
-    asked = [study.ask(ranges) for _ in range(count)]
-    return [[trial.params[name] for name in names] for trial in asked]
+    trials = [study.ask(ranges) for _ in range(count)]
+    return [[trial.params[name] for name in names] for trial in trials]

@@ -25,9 +25,9 @@ def closed_form_start(task: Task, modules: Mapping[str, SceneModule]) -> list[li
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(task.free), seed=0).random_base2(int(math.log2(START_CANDIDATES)))
-    found = [_closed_forms(task, task.fitted, point, modules) for point in points]
-    known = [target for target in task.fitted if any(target in predictions for predictions in found)]
-    misfits = [_misfit(known, predictions) for predictions in found] if known else []
+    predictions_at = [_closed_forms(task, task.fitted, point, modules) for point in points]
+    known = [target for target in task.fitted if any(target in predictions for predictions in predictions_at)]
+    misfits = [_misfit(known, predictions) for predictions in predictions_at] if known else []
     if not np.isfinite(min(misfits, default=np.inf)):
         return []
     return [points[int(np.argmin(misfits))].tolist()]
@@ -58,13 +58,13 @@ def _closed_forms(
     a scene's closed form gives all its quantities, so it is computed only once for all targets of the same scene.
     """
     expected: dict[str, Mapping[str, float]] = {}
-    found: dict[Target, float] = {}
+    values: dict[Target, float] = {}
     for target in targets:
         if target.key not in expected:
             expected[target.key] = _expected(task, target, point, modules)
         if target.quantity in expected[target.key]:
-            found[target] = expected[target.key][target.quantity]
-    return found
+            values[target] = expected[target.key][target.quantity]
+    return values
 
 
 def _expected(task: Task, target: Target, point: object, modules: Mapping[str, SceneModule]) -> Mapping[str, float]:

@@ -50,10 +50,10 @@ class FreeParameter:
     def value(self, unit: float) -> float:
         """Return the parameter's value at the position `unit`: 0 is the low end of its range and 1 the high end."""
         if self.log:
-            found = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
+            value = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
         else:
-            found = self.low + unit * (self.high - self.low)
-        return round(found) if self.whole else min(max(found, self.low), self.high)
+            value = self.low + unit * (self.high - self.low)
+        return round(value) if self.whole else min(max(value, self.low), self.high)
 
     def place(self, value: float) -> float:
         """Return the position of a value in the parameter's range, from 0 to 1."""
@@ -111,10 +111,10 @@ class Task:
     @property
     def groups(self) -> list[list[Target]]:
         """Groups of targets whose quantities all come from the same run."""
-        found: dict[str, list[Target]] = {}
+        by_key: dict[str, list[Target]] = {}
         for target in self.targets:
-            found.setdefault(target.key, []).append(target)
-        return list(found.values())
+            by_key.setdefault(target.key, []).append(target)
+        return list(by_key.values())
 
     @property
     def fitted(self) -> list[Target]:
@@ -289,9 +289,9 @@ def _uncertainty(called: str, given: object, value: float, quantity: str) -> flo
     `given` is the statement of the user, and `quantity` the measured quantity. `called` names the standard deviation in
     error messages.
     """
-    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
-    if found:
-        given = float(found.group(1)) / 100 * abs(value)
+    percentage = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
+    if percentage:
+        given = float(percentage.group(1)) / 100 * abs(value)
     elif not (isinstance(given, str) and "%" in given):
         given = _in_unit(called, given, quantity)
     if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given <= 0:

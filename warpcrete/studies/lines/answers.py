@@ -106,17 +106,17 @@ def band_sentences(
     `customary` is true, the band is also given in psi.
     """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
-    found = []
+    sentences = []
     for place, (cause, share) in enumerate(shares):
         if place and share < LEAST_SHARE:
             break
         span = "" if place else f" of the band of {band_text(band, customary)}"
         advice = advise(cause)
-        found.append(
+        sentences.append(
             f"{100 * share:.0f} %{span} {'of it comes' if place else 'comes'} from the {cause}"
             + (f"; {advice}" if advice else "")
         )
-    return found
+    return sentences
 
 
 def motor_power(pressure: float, flow: float) -> float:

@@ -103,7 +103,7 @@ class BlockingProbability:
         us = bool(self.part.customary_label)
         state = "was blocked in" if self.blocked else "not blocked:"
         friction = "" if math.isnan(self.friction) else f", with a friction of {self.friction:g} between them"
-        found = [
+        texts = [
             f"blocking by simulation: part {self.part.number}, {self.part.label}, {state} {self.blocked} of "
             f"{self.runs} runs: probability {100 * self.probability:.3g} %, 95 % interval {100 * low:.2g} to "
             f"{100 * high:.2g} % (Wilson 1927)",
@@ -112,12 +112,12 @@ class BlockingProbability:
             "stones, but neither bleeding nor faults of priming",
         ]
         if self.coarse > 1:
-            found.append(f"stones are enlarged {self.coarse:g} times, which makes blocking likelier")
+            texts.append(f"stones are enlarged {self.coarse:g} times, which makes blocking likelier")
         if self.failed:
-            found.append(f"{self.failed} runs failed and do not count")
+            texts.append(f"{self.failed} runs failed and do not count")
         if self.short:
-            found.append(f"{self.short} runs ended while part of the concrete stood still, and count as not blocked")
-        return found
+            texts.append(f"{self.short} runs ended while part of the concrete stood still, and count as not blocked")
+        return texts
 
 
 def run_blocking(
@@ -153,9 +153,9 @@ def run_blocking(
         )
     if not study.finished:
         raise KeyboardInterrupt
-    found = _counted(study, part, elements)
-    write_json(out / RECORD, found.record())
-    return found
+    probability = _counted(study, part, elements)
+    write_json(out / RECORD, probability.record())
+    return probability
 
 
 def _parameters(

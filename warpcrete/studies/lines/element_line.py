@@ -88,7 +88,7 @@ class SeedResult:
         because the concrete column transmits no tension (:func:`.course_of`). If the line has such a stretch, the
         pressure at its start is larger than the sum of all friction and weight.
         """
-        pressure, found = 0.0, []
+        pressure, losses = 0.0, []
         for part in reversed(line.parts):
             friction = 0.0
             weight = self.density * GRAVITY * part.rise
@@ -102,8 +102,8 @@ class SeedResult:
                 ahead = there + 0.5 * step * ratio * self._gradient(part, along, max(there, 0.0))
                 friction += step * ratio * self._gradient(part, along, max(ahead, 0.0))
             pressure = max(pressure + friction + weight, 0.0)
-            found.append((friction, weight))
-        return found[::-1]
+            losses.append((friction, weight))
+        return losses[::-1]
 
     def pressure(self, line: PipeLine) -> float:
         """Return the pressure at the start of the line [Pa]."""

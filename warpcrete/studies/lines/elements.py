@@ -125,12 +125,12 @@ def run_elements(
             failed[_run_name(key, kinds[key], seed)] = [
                 f"{name}: {run.result['checks'][name]['found']}" for name in bad
             ]
-    found = ElementLine(line, concrete, flow, packed, [], took, elapsed, failed)
-    found.remarks = list(_remarks(found, runs, kinds))
+    result = ElementLine(line, concrete, flow, packed, [], took, elapsed, failed)
+    result.remarks = list(_remarks(result, runs, kinds))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        write_json(out / "line-dem.json", found.record())
-    return found
+        write_json(out / "line-dem.json", result.record())
+    return result
 
 
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
@@ -262,15 +262,15 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
     return SeedResult(laws, ratios, float(np.mean(densities)), blocked)
 
 
-def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
+def _remarks(result: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
     """Yield remarks for the user about the line, about failed checks, and about limits of the simulations.
 
     The keys of `runs` are pairs of a kind of part and a seed. `kinds` maps each kind to one part of this kind.
     """
-    yield from found.line.remarks()
-    if any(part.layer != 1 for part in found.line.parts):
+    yield from result.line.remarks()
+    if any(part.layer != 1 for part in result.line.parts):
         yield "hoses are simulated with the slip layer of pipes"
-    for name, bad in found.failed.items():
+    for name, bad in result.failed.items():
         yield from (f"check FAILED in {name}: {what}" for what in bad)
     for (key, seed), run in runs.items():
         ratio = run.result.get("flux_ratio")
@@ -279,18 +279,18 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
             yield (
                 f"{name}: outflow is {100 * number(ratio):.0f} % of the inflow; the concrete is still being compressed"
             )
-    for part, blocked in zip(found.line.parts, found.blocked(), strict=True):
+    for part, blocked in zip(result.line.parts, result.blocked(), strict=True):
         if blocked:
             yield (
-                f"BLOCKED: part {part.number}, {part.label}, with {blocked} of {len(found.packed)} seeds; the "
+                f"BLOCKED: part {part.number}, {part.label}, with {blocked} of {len(result.packed)} seeds; the "
                 "pressure of a blocked line has no meaning"
             )
-    if not any(found.blocked()):
+    if not any(result.blocked()):
         yield "not blocked: no simulated part was blocked"
-    laws = [law for each in found.packed for law in each.laws.values()]
+    laws = [law for each in result.packed for law in each.laws.values()]
     measured, largest = max(law.measured for law in laws), min(law.largest for law in laws)
-    us = found.line.customary
-    if found.pressure > 1.2 * measured:
+    us = result.line.customary
+    if result.pressure > 1.2 * measured:
         low, high = (both(us, "kPa", pressure, digits=3) for pressure in (measured, largest))
-        constant = f", and taken as constant above {high}" if found.pressure > largest else ""
+        constant = f", and taken as constant above {high}" if result.pressure > largest else ""
         yield f"wall friction at pressures above {low} is extrapolated from lower pressures{constant}"

@@ -165,10 +165,10 @@ def _fitted(
         error = _yield_error(model, measured, start, free, gauge)
         if error > widest:
             free.remove(1)
-    found = _least_squares(model, measured, start, free)
+    solution = _least_squares(model, measured, start, free)
     reasons = {2: NO_FACTOR}
     for place, value in ((2, 1.0), (1, 0.0), (2, 1.0)):
-        if place in free and found[place] < NOTHING[place]:
+        if place in free and solution[place] < NOTHING[place]:
             # The measured pressures cannot distinguish this constant from zero. Fit the other constants again, with a
             # yield stress of zero, or with the factors of bends from the table.
             free.remove(place)
@@ -177,16 +177,16 @@ def _fitted(
                 model = TapModel(line, concrete, taps, bends=False)
             else:
                 reasons[1] = NO_YIELD
-            found = _least_squares(model, measured, start, free)
-    _check_result(found, free, concrete)
-    fitted = model.pressures(found)
-    slopes = model.sensitivities(found, free)
+            solution = _least_squares(model, measured, start, free)
+    _check_result(solution, free, concrete)
+    fitted = model.pressures(solution)
+    slopes = model.sensitivities(solution, free)
     squares = _squares(fitted - measured, slopes, taps, gauge)
     covariance = _covariance(slopes, squares)
     widths = dict(zip(free, np.sqrt(np.diag(covariance)), strict=True))
     constants = []
     for place in range(3 if any(is_free(part) for part in line.parts) else 2):
-        value, wide = float(found[place]), float(widths.get(place, error if reasons.get(place) == NO_YIELD else 0.0))
+        value, wide = float(solution[place]), float(widths.get(place, error if reasons.get(place) == NO_YIELD else 0.0))
         reason = {"reason": reasons[place]} if place in reasons else {}
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths, **reason))  # fmt: skip
@@ -194,9 +194,9 @@ def _fitted(
     # straight pipe from their covariance matrix.
     layer = [k for k, place in enumerate(free) if place < 2]
     pipe = metre_model(line, concrete, taps)
-    weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
+    weights = pipe.sensitivities(solution, [free[k] for k in layer])[0]
     with_friction = covariance[np.ix_(layer, layer)] @ weights
-    square, friction = float(weights @ with_friction), float(pipe.pressures(found)[0])
+    square, friction = float(weights @ with_friction), float(pipe.pressures(solution)[0])
     wide = math.sqrt(square) / friction
     slope, deviation = None, 0.0
     if 1 in free and square > 0:
@@ -249,9 +249,9 @@ def _yield_error(model: TapModel, measured: np.ndarray, start: np.ndarray, free:
     model at this fit. A fit of the yield stress itself could fail if the flows hardly differ. `gauge` is the error
     limit of a gauge [Pa].
     """
-    found = _least_squares(model, measured, start, [place for place in free if place != 1])
-    slopes = model.sensitivities(found, free)
-    off = model.pressures(found) - measured
+    constants = _least_squares(model, measured, start, [place for place in free if place != 1])
+    slopes = model.sensitivities(constants, free)
+    off = model.pressures(constants) - measured
     off -= slopes @ np.linalg.lstsq(slopes, off, rcond=None)[0]
     own = list(free).index(1)
     return math.sqrt(float(_covariance(slopes, _squares(off, slopes, model.taps, gauge))[own, own]))
@@ -272,14 +272,14 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
     return free
 
 
-def _check_result(found: np.ndarray, free: Sequence[int], concrete: Concrete) -> None:
+def _check_result(constants: np.ndarray, free: Sequence[int], concrete: Concrete) -> None:
     """Raise :class:`SceneError` if a fitted constant is impossible.
 
-    `found` holds the slip viscosity, the slip yield stress and the factor of bends, and `free` the indices of those
+    `constants` holds the slip viscosity, the slip yield stress and the factor of bends, and `free` the indices of those
     that were fitted. A slip viscosity above :data:`NO_SLIP` is impossible, as is a fitted constant at or below its
     limit in :data:`LEAST`.
     """
-    if found[0] > NO_SLIP:
+    if constants[0] > NO_SLIP:
         raise SceneError(
             "fit: the measured friction is larger than that of a concrete without slip at the wall that has a "
             f"viscosity of {concrete.viscosity:.4g} Pa s and a yield stress of {concrete.yield_stress:.4g} Pa; check "
@@ -287,12 +287,12 @@ def _check_result(found: np.ndarray, free: Sequence[int], concrete: Concrete) ->
             "the flows, and the viscosity of the concrete"
         )
     for place in free:
-        if not math.isfinite(found[place]) or found[place] <= LEAST[place]:
+        if not math.isfinite(constants[place]) or constants[place] <= LEAST[place]:
             unit = f" {UNITS[place]}" if UNITS[place] else ""
             raise SceneError(
-                f"fit: the measured pressures give a {NAMES[place]} of {found[place]:.4g}{unit}, which is impossible; "
-                "check the places of the gauges, the flows, the rise and diameters of the line, and the density, "
-                "viscosity and yield stress of the concrete"
+                f"fit: the measured pressures give a {NAMES[place]} of {constants[place]:.4g}{unit}, which is "
+                "impossible; check the places of the gauges, the flows, the rise and diameters of the line, and the "
+                "density, viscosity and yield stress of the concrete"
             )
 
 

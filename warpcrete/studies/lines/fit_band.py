@@ -197,9 +197,9 @@ def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradi
             groups.append([tap])
     for among in (groups, [list(fit.taps)]):
         compared = [_contradiction_among(replace(fit, taps=tuple(taps)), line, concrete) for taps in among]
-        found = [each for each in compared if each is not None]
-        if found:
-            return max(found, key=lambda x: x.high.measured / x.high.fitted - x.low.measured / x.low.fitted)
+        contradictions = [each for each in compared if each is not None]
+        if contradictions:
+            return max(contradictions, key=lambda x: x.high.measured / x.high.fitted - x.low.measured / x.low.fitted)
     return None
 
 

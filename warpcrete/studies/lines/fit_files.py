@@ -32,7 +32,7 @@ def fitted_concrete(
     """
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
     origin += "" if fit.contradiction is None else ", which contradict each other"
-    found: Record = {"name": concrete.name, "source": origin}
+    contents: Record = {"name": concrete.name, "source": origin}
     layer = fit.layer_entry((1.0, 1.0) if mix is None else mix.factors)
     section = None if source is None else source.mix
     if mix is None:
@@ -41,7 +41,7 @@ def fitted_concrete(
         entries = _slumped_entries(mix.given)
     else:
         entries = _plain(section.values) | _points(section, mix.given)
-    found["mix"] = entries | {"layer": layer}
+    contents["mix"] = entries | {"layer": layer}
     # If the concrete had no mix, its flow constants are now in the section `mix`, so the section `flow` stays empty.
     flow = {} if section is None else _plain(section.flow)
     if source is not None and source.factor_source and any(key in flow for key in FACTOR_KEYS):
@@ -50,7 +50,7 @@ def fitted_concrete(
         "elements": {} if source is None else _plain(source.elements if section is None else section.elements),
         "flow": {key: value for key, value in flow.items() if key not in LAYER_KEYS},
     }
-    return found | {name: values for name, values in others.items() if values}
+    return contents | {name: values for name, values in others.items() if values}
 
 
 def write_fit(
@@ -89,9 +89,9 @@ def _plain_entries(concrete: Concrete) -> Record:
 
 def _slumped_entries(given: MixEntries) -> Record:
     """Return the entries of a mix for which the user stated only slump or spread, and perhaps the largest stone."""
-    found: Record = {"density": given.density}
-    found |= {key: _short(getattr(given, key)) for key in ("slump", "spread") if getattr(given, key) is not None}
-    return found if given.sizes is None else found | {"sizes": [_short(size) for size in given.sizes]}
+    entries: Record = {"density": given.density}
+    entries |= {key: _short(getattr(given, key)) for key in ("slump", "spread") if getattr(given, key) is not None}
+    return entries if given.sizes is None else entries | {"sizes": [_short(size) for size in given.sizes]}
 
 
 def _points(section: MixSection, given: MixEntries) -> Record:

@@ -145,7 +145,7 @@ def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> 
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
     wanted, power = friction(eta, tau), elasticity(friction, eta, tau)
-    flow, found = float(np.mean([tap.flow for tap in fit.taps])), 0.0
+    flow, deviation = float(np.mean([tap.flow for tap in fit.taps])), 0.0
     for kind in uncertain_kinds(line.parts):
         if kind == "bend" and fit.bend_factor is not None:
             continue
@@ -157,8 +157,8 @@ def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> 
             ]
             there = _friction_behind_gauges(fit, replace(line, parts=tuple(changed)), concrete)(eta, tau)
             squares += 0.5 * math.log(wanted / there) ** 2
-        found = math.hypot(found, layer_deviation(math.sqrt(squares), power))
-    return found
+        deviation = math.hypot(deviation, layer_deviation(math.sqrt(squares), power))
+    return deviation
 
 
 def _at_end(part: Part, end: int, straight: float) -> Part:

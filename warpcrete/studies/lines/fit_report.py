@@ -24,7 +24,7 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))
     measured = [tap.pressure for tap in fit.taps]
-    found = [
+    texts = [
         f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 % for gauges that are "
         f"off by up to {fit.gauge / 1e5:.2g} bar{beside(line.customary, 'psi', fit.gauge)}, see --gauge)",
         "",
@@ -52,25 +52,25 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
     ]
     low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
     if bends and bends[0].fitted:
-        found += ["and into the line's file:", "", f"    bend_factor: {{factor: {bends[0].value:.4g}, "
+        texts += ["and into the line's file:", "", f"    bend_factor: {{factor: {bends[0].value:.4g}, "
                   f"low: {bends[0].low:.4g}, high: {bends[0].high:.4g}}}", ""]  # fmt: skip
         if not low <= bends[0].value <= high:
             share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
-            found += [f"The factor lies outside the range of published measurements, {low:g} to {high:g}. Bends make "
+            texts += [f"The factor lies outside the range of published measurements, {low:g} to {high:g}. Bends make "
                       f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
                       "factor: check the taps before you use it.", ""]  # fmt: skip
     names = ("ft", "yd3/h", "psi") if line.customary else ("m", "m3/h", "bar")
     place, rate, size = (CUSTOMARY_SIZES[name] for name in names) if line.customary else (1.0, 1 / 3600, 1e5)
     unit = names[2]
-    found += [
+    texts += [
         f"| place [{names[0]}] | flow [{names[1]}] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
         "|---|---|---|---|---|",
     ]
     for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
         cells = (f"{tap.place / place:.4g}", f"{tap.flow / rate:.4g}", f"{tap.pressure / size:.4g}",
                  f"{fitted / size:.4g}", f"{each / size:+.2g}")  # fmt: skip
-        found.append(f"| {' | '.join(cells)} |")
-    return found
+        texts.append(f"| {' | '.join(cells)} |")
+    return texts
 
 
 def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> list[str]:
@@ -146,8 +146,8 @@ def warning_of(fit: LineFit, customary: bool) -> str:
     The warning states the measured friction of the two stretches of the line that contradict each other most, in psi/ft
     if `customary` is true, and in bar/m otherwise. `fit.contradiction` must not be None.
     """
-    found = fit.contradiction
-    assert found is not None, "the gauges do not contradict each other"
+    contradiction = fit.contradiction
+    assert contradiction is not None, "the gauges do not contradict each other"
     unit, metre = ("ft", CUSTOMARY_SIZES["ft"]) if customary else ("m", 1.0)
     named, size = ("psi/ft", CUSTOMARY_SIZES["psi"] / metre) if customary else ("bar/m", 1e5)
 
@@ -157,7 +157,7 @@ def warning_of(fit: LineFit, customary: bool) -> str:
             return f"behind {begin} {unit}"
         return f"between {begin} and {stretch.end / metre:.3g} {unit}"
 
-    low, high = found.low, found.high
+    low, high = contradiction.low, contradiction.high
     return (
         f"WARNING: no slip layer explains all gauges, so the band was widened until it contains them. The gauges show "
         f"{low.measured / size:.2g} {named} of friction {where(low)}, but {high.measured / size:.2g} {named} "

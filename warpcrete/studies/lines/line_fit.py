@@ -157,14 +157,14 @@ class LineFit:
         file is read, so the entries are divided by them here.
         """
         yields, viscous = factors
-        found: Record = {
+        entry: Record = {
             "viscosity": f"{self.constants[0].value / viscous:.6g} Pa s/m",
             "yield_stress": f"{self.constants[1].value / yields:.6g} Pa",
             **self.law_entries(viscous),
             "uncertainty": f"{max(100 * self.later_uncertainty, 0.1):.4g} %",
             "from": "pipe",
         }
-        return found if self.contradiction is None else found | {"gauges": CONTRADICTORY}
+        return entry if self.contradiction is None else entry | {"gauges": CONTRADICTORY}
 
     def law_entries(self, viscous: float) -> dict[str, float]:
         """Return the constants in :attr:`laws` as entries for a concrete's file.
@@ -194,13 +194,13 @@ class LineFit:
             low, high = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.layer_ends)
         else:
             low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
-        found = {"slip layer": (low, high)}
+        pairs = {"slip layer": (low, high)}
         if self.yield_layers:
             thick, thin = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.yield_layers)
-            found[FITTED_YIELD if self.knows_yield else OPEN_YIELD] = (thick, thin)
+            pairs[FITTED_YIELD if self.knows_yield else OPEN_YIELD] = (thick, thin)
         if before is not None and "density" in before:
-            found["density"] = (self.concrete(before["density"][0]), self.concrete(before["density"][1]))
-        return found
+            pairs["density"] = (self.concrete(before["density"][0]), self.concrete(before["density"][1]))
+        return pairs
 
     def line(self, line: PipeLine) -> PipeLine:
         """Return a copy of a line in which all bends have the fitted factor, except those whose factor is stated."""

@@ -70,10 +70,10 @@ def course_of(losses: Sequence[float]) -> list[float]:
     at the end of the line is zero. No pressure is below zero, because the concrete column transmits no tension: it
     breaks where concrete runs down faster than it is pumped.
     """
-    found = [0.0]
+    pressures = [0.0]
     for loss in reversed(losses):
-        found.append(max(found[-1] + loss, 0.0))
-    return found[::-1]
+        pressures.append(max(pressures[-1] + loss, 0.0))
+    return pressures[::-1]
 
 
 def with_layer_factor(concrete: Concrete, factor: float) -> Concrete:

@@ -82,11 +82,11 @@ def _row(rule: str, parts: Sequence[Part], loss: Callable[[Part], float], implie
 
     `loss` returns the pressure loss of a part by the rule [Pa]. The other arguments are those of :class:`PracticeRow`.
     """
-    found: dict[str, float] = {}
+    by_kind: dict[str, float] = {}
     losses = [loss(part) for part in parts]
     for part, own in zip(parts, losses, strict=True):
-        found[part.kind] = found.get(part.kind, 0.0) + own
-    return PracticeRow(rule, found, course_of(losses)[0], implies, source)
+        by_kind[part.kind] = by_kind.get(part.kind, 0.0) + own
+    return PracticeRow(rule, by_kind, course_of(losses)[0], implies, source)
 
 
 def practice_rows(
@@ -170,8 +170,8 @@ def _as_straight(kinds: Collection[str], others: Sequence[str]) -> str:
     These are the kinds that the rule does not cover (`others`). `kinds` are the kinds of the line's parts, without
     parts whose friction the line's file states. The remark is empty if no such kind occurs.
     """
-    found = [GROUPS[kind] for kind in others if kind in kinds]
-    return f"; {' and '.join(found)} count as straight pipe, because the rule does not cover them" if found else ""
+    names = [GROUPS[kind] for kind in others if kind in kinds]
+    return f"; {' and '.join(names)} count as straight pipe, because the rule does not cover them" if names else ""
 
 
 def practice_lines(ours: PracticeRow, rows: list[PracticeRow], customary: bool = False) -> list[str]:
@@ -182,12 +182,12 @@ def practice_lines(ours: PracticeRow, rows: list[PracticeRow], customary: bool =
     """
     unit, size = ("psi", PSI) if customary else ("bar", 1e5)
     kinds = [kind for kind in GROUPS if any(kind in row.pressures for row in (ours, *rows))]
-    found = [f"| | pressure [{unit}] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]
+    texts = [f"| | pressure [{unit}] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]
     for row in (ours, *rows):
         cells = [
             row.rule,
             f"{row.pressure / size:.3g}",
             *(f"{row.pressures.get(kind, 0.0) / size:.3g}" for kind in kinds),
         ]
-        found.append(f"| {' | '.join(cells)} |")
-    return [*found, "", *(f"- {row.rule}: {row.implies}" for row in rows)]
+        texts.append(f"| {' | '.join(cells)} |")
+    return [*texts, "", *(f"- {row.rule}: {row.implies}" for row in rows)]

@@ -132,11 +132,11 @@ class LinePressures:
             ends[MODEL_ERRORS[kind].cause] = [
                 self.course(lambda x, own=own: own(x) + x.weight)[1].tolist() for own in changed
             ]
-        found = [
+        bands = [
             combined(value, {cause: (low[k], high[k]) for cause, (low, high) in ends.items()})
             for k, value in enumerate(ours.tolist())
         ]
-        return places, found
+        return places, bands
 
     def measured(self: P, cause: str, factors: tuple[float, float]) -> P:
         """Return a copy with the uncertainty that would remain if properties of the concrete were measured.

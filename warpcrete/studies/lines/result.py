@@ -262,34 +262,34 @@ class LineResult(LinePressures):
             return STATED_BENDS
         if cause not in MEASUREMENTS:
             return ADVICE.get(cause, "")
-        now, found = band_of(self), []
+        now, texts = band_of(self), []
         for each in MEASUREMENTS[cause]:
             then = band_of(self.measured(cause, each.factors))
             if then.high - then.low < WORTHWHILE * (now.high - now.low):
-                found.append(f"{each.advice}, which would give {band_text(then, self.line.customary)}")
-        return ", or ".join(found)
+                texts.append(f"{each.advice}, which would give {band_text(then, self.line.customary)}")
+        return ", or ".join(texts)
 
     def remarks(self) -> list[str]:
         """Return remarks for the user about the line, failed checks, and places where the concrete column breaks."""
-        found = self.line.remarks()
-        found += [f"check FAILED in {name}: {what}" for name, bad in self.failed.items() for what in bad]
-        found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts in the table of simulated parts; "
+        texts = self.line.remarks()
+        texts += [f"check FAILED in {name}: {what}" for name, bad in self.failed.items() for what in bad]
+        texts += [f"part {x.part.number}, {x.part.label}, is sharper than all parts in the table of simulated parts; "
                   "--simulate computes it" for x in self.losses
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
-        found += [f"part {x.part.number} was simulated as a fluid without stones; stones may add to its friction, so "
+        texts += [f"part {x.part.number} was simulated as a fluid without stones; stones may add to its friction, so "
                   "the range of its friction is kept; a measured 'factor' would narrow it"
                   for x in self.losses  # The friction of a bore differs from the closed form only if it was simulated.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
-            found.append("no concrete pump is known to deliver more than "
+            texts.append("no concrete pump is known to deliver more than "
                          f"{both(self.line.customary, 'bar', HIGHEST_PUMP)}; use a wider pipe, a smaller flow, "
                          "concrete with less friction, or a second pump on the way")  # fmt: skip
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
-                found.append(f"concrete flows down part {loss.part.number} faster than it is pumped, so it "
+                texts.append(f"concrete flows down part {loss.part.number} faster than it is pumped, so it "
                              "separates there, and the pressure before this part counts from 0")  # fmt: skip
-        return found
+        return texts
 
     def record(self) -> Record:
         """Return the results of the line as the contents of the file line.json."""
@@ -345,7 +345,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     With `practice`, a further table compares the result with rules of practice.
     """
     band, us = result.band(), result.line.customary
-    found = [
+    texts = [
         f"**{result.line.name}**: {result.line.length:.4g} m{beside(us, 'ft', result.line.length)}, "
         f"{_height(result.line.rise, us)}, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h{beside(us, 'yd3/h', result.flow)}",
@@ -365,28 +365,28 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         f"{time_text(result.residence_time)}",
     ]
     if result.margin is not None:
-        found.append(f"- {result.margin.sentence()}")
+        texts.append(f"- {result.margin.sentence()}")
     if result.stop is not None:
         begins, full = result.restart(), result.restart(result.flow)
-        found += [
+        texts += [
             f"- after {time_text(result.stop.rest)} of rest, with a yield stress that grows by "
             f"{result.stop.growth:g} Pa/s (theory), the concrete starts to move at {_span(begins, us)}, and a restart "
             f"at full flow needs {_span(full, us)}{_assumed_growth(result.stop)}",
             *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
     if result.stop is not None and result.line.pump is None:
-        found.append(f"- {result._needed_pump()}")
+        texts.append(f"- {result._needed_pump()}")
     if result.restart_margin is not None:
-        found += [f"- {result.restart_margin.sentence()}", f"- {result.restart_margin.longest_sentence()}"]
+        texts += [f"- {result.restart_margin.sentence()}", f"- {result.restart_margin.longest_sentence()}"]
     if result.line.pump is not None:
-        found.append(f"- {ON_CONCRETE}")
+        texts.append(f"- {ON_CONCRETE}")
     if result.line.recorded is not None:
-        found.append(f"- recorded {pressure_text(result.line.recorded)} ({result.line.source})")
-    found += [f"- {remark}" for remark in result.remarks()]
-    found += ["", *_table(result)]
+        texts.append(f"- recorded {pressure_text(result.line.recorded)} ({result.line.source})")
+    texts += [f"- {remark}" for remark in result.remarks()]
+    texts += ["", *_table(result)]
     if practice:
-        found += ["", *practice_lines(*result.practice(), us), "", methods_on_bends(us)]
-    return found
+        texts += ["", *practice_lines(*result.practice(), us), "", methods_on_bends(us)]
+    return texts
 
 
 def _table(result: LineResult) -> list[str]:
@@ -400,14 +400,14 @@ def _table(result: LineResult) -> list[str]:
 
     columns = ("part", "", f"diameter [{wide}]", f"length [{long}]", f"rise [{long}]", f"friction [{pressure}]",
                "times straight pipe", f"weight [{pressure}]")  # fmt: skip
-    found = [f"| {' | '.join(columns)} |".replace("|  |", "| |"), "|" + "---|" * len(columns)]
+    rows = [f"| {' | '.join(columns)} |".replace("|  |", "| |"), "|" + "---|" * len(columns)]
     for x in result.losses:
         part, span = x.part, x.range
         ratio = f"{x.friction / x.straight:.3g}" + ("" if span is None else f" ({span[0]:.3g} to {span[1]:.3g})")
         cells = [f"{part.number}", part.label, cell(part.diameter, wide), cell(part.length, long),
                  cell(part.rise, long), cell(x.friction, pressure), ratio, cell(x.weight, pressure)]  # fmt: skip
-        found.append(f"| {' | '.join(cells)} |")
-    return found
+        rows.append(f"| {' | '.join(cells)} |")
+    return rows
 
 
 def _largest(suffices: Callable[[float], bool], limit: float) -> float:

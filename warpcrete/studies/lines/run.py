@@ -159,9 +159,9 @@ def run_line(
     return result
 
 
-def _failure(check: str, found: str) -> str:
+def _failure(check: str, finding: str) -> str:
     """Return the finding of a failed check, and the option of `warpcrete line` that avoids the failure, as text."""
-    text = f"{check}: {found.split(CURE)[0]}"
+    text = f"{check}: {finding.split(CURE)[0]}"
     return f"{text}{CURE}{LINE_CURES[check]}" if check in LINE_CURES else text
 
 

@@ -41,11 +41,11 @@ class TapModel:
         The constants are the slip viscosity [Pa s/m], the slip yield stress [Pa] and the factor of bends.
         """
         courses = {flow: self._course(flow, constants) for flow in {tap.flow for tap in self.taps}}
-        found = []
+        pressures = []
         for tap, (own, share) in zip(self.taps, self.places, strict=True):
             losses, course = courses[tap.flow]
-            found.append(max(course[own + 1] + share * losses[own], 0.0))
-        return np.array(found)
+            pressures.append(max(course[own + 1] + share * losses[own], 0.0))
+        return np.array(pressures)
 
     def _course(self, flow: float, constants: np.ndarray) -> tuple[list[float], list[float]]:
         """Return the pressure loss of each part at a `flow` [m3/s], and the pressures along the line [Pa].

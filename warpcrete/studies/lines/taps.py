@@ -54,7 +54,7 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
             refuse("fit", str(path), f"has no column {name!r}", example)
     starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
     narrow = min(part.narrow for part in line.parts)
-    found = []
+    taps = []
     for row, cells in rows:
         values = {"flow": flow or 0.0}
         for name, (place, unit) in columns.items():
@@ -76,8 +76,8 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
         hint = "'place' is the distance from the pump along the line, and must lie before the open end"
         at_least_and_below(field, values["place"], 0.0, float(starts[-1]), "m", hint)
         check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
-        found.append(Tap(values["place"], values["pressure"], values["flow"], row))
-    return tuple(found)
+        taps.append(Tap(values["place"], values["pressure"], values["flow"], row))
+    return tuple(taps)
 
 
 def foreign_columns(path: Path) -> list[str]:

@@ -62,13 +62,13 @@ def write(found: Reproduction) -> None:
 
 def _plain(result: Mapping[str, object]) -> dict[str, float]:
     """Return all numbers in the contents of a result.json, in SI units; entries that are not numbers are left out."""
-    found = {}
+    numbers = {}
     for name, entry in result.items():
         if isinstance(entry, dict) and "value" in entry and isinstance(entry["value"], int | float):
-            found[name] = number(entry)
+            numbers[name] = number(entry)
         elif isinstance(entry, int | float) and not isinstance(entry, bool):
-            found[name] = float(entry)
-    return found
+            numbers[name] = float(entry)
+    return numbers
 
 
 def columns_with_results(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
@@ -78,61 +78,65 @@ def columns_with_results(found: Reproduction, names: Iterable[str] = CONCRETES) 
     ]
 
 
-def _zhan(found: Reproduction) -> Iterator[str]:
+def _zhan(reproduction: Reproduction) -> Iterator[str]:
     yield "# Zhan et al. 2019, reproduced"
     yield ""
     sizes = (
         "coarse spheres of 15 to 40 mm instead of clumps of 5 to 20 mm (--quick)"
-        if found.quick
+        if reproduction.quick
         else "four clump templates"
     )
-    yield f"{len(found.results)} results, {found.seeds} seed(s) each, {sizes}."
-    for name in columns_with_results(found):
+    yield f"{len(reproduction.results)} results, {reproduction.seeds} seed(s) each, {sizes}."
+    for name in columns_with_results(reproduction):
         yield f"- **{name}**: {WHAT[name]}."
     yield ""
-    yield from _units(found)
-    yield from _pipelines(found)
-    yield from _open(found)
+    yield from _units(reproduction)
+    yield from _pipelines(reproduction)
+    yield from _open(reproduction)
     yield "## Parameters, on unit D: largest pressure [kPa]"
     for row in ZHAN:
-        yield from _row(found, row)
-    if found.failures:
+        yield from _row(reproduction, row)
+    if reproduction.failures:
         yield ""
         yield "## Runs that stopped"
         yield ""
-        for key, why in found.failures.items():
+        for key, why in reproduction.failures.items():
             yield f"- {key}: {why}"
 
 
-def _of_unit(found: Reproduction, name: str, unit: str, quantity: str) -> list[float]:
-    return found.values(name, {**unit_case(unit, found.quick), **column_parameters(name)}, quantity)
+def _of_unit(reproduction: Reproduction, name: str, unit: str, quantity: str) -> list[float]:
+    return reproduction.values(name, {**unit_case(unit, reproduction.quick), **column_parameters(name)}, quantity)
 
 
-def _units(found: Reproduction) -> Iterator[str]:
+def _units(reproduction: Reproduction) -> Iterator[str]:
     yield "## Units: largest pressure and pressure at the end [kPa]"
     yield ""
-    yield "| unit | paper | " + " | ".join(columns_with_results(found)) + " |"
-    yield "|---|---|" + "---|" * len(columns_with_results(found))
+    yield "| unit | paper | " + " | ".join(columns_with_results(reproduction)) + " |"
+    yield "|---|---|" + "---|" * len(columns_with_results(reproduction))
     for letter, unit in zip("ABCD", UNITS):
         cells = [
-            _pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
-            for name in columns_with_results(found)
+            _pair(
+                _of_unit(reproduction, name, unit, "peak_pressure"), _of_unit(reproduction, name, unit, "end_pressure")
+            )
+            for name in columns_with_results(reproduction)
         ]
         yield f"| {letter} {unit} | {_printed(*PRINTED[unit])} | " + " | ".join(cells) + " |"
     for letter, unit in zip("AB", UNITS):
-        cells = [_metres(_of_unit(found, name, unit, "peak_travel")) for name in columns_with_results(found)]
+        cells = [
+            _metres(_of_unit(reproduction, name, unit, "peak_travel")) for name in columns_with_results(reproduction)
+        ]
         yield (
             f"| {letter}, travel at the largest pressure [m] | {PRINTED_TRAVEL[unit]:.2f} |" + " | ".join(cells) + " |"
         )
     yield ""
 
 
-def _open(found: Reproduction) -> Iterator[str]:
+def _open(reproduction: Reproduction) -> Iterator[str]:
     """Yield the lines of the report's section on details that the paper leaves open.
 
     The section shows how the results change with other assumptions about these details.
     """
-    names = columns_with_results(found, OPEN_ASSUMPTIONS)
+    names = columns_with_results(reproduction, OPEN_ASSUMPTIONS)
     if not names:
         return
     yield "## What the paper leaves open: units with the calibrated concrete, without a new fit"
@@ -142,12 +146,14 @@ def _open(found: Reproduction) -> Iterator[str]:
     yield ""
     yield "| | " + " | ".join("ABCD") + " | travel at the largest pressure of A [m] | of B |"
     yield "|---|---|---|---|---|---|---|"
-    for name in [*(["calibrated"] if "calibrated" in columns_with_results(found) else []), *names]:
+    for name in [*(["calibrated"] if "calibrated" in columns_with_results(reproduction) else []), *names]:
         cells = [
-            _pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
+            _pair(
+                _of_unit(reproduction, name, unit, "peak_pressure"), _of_unit(reproduction, name, unit, "end_pressure")
+            )
             for unit in UNITS
         ]
-        cells += [_metres(_of_unit(found, name, unit, "peak_travel")) for unit in UNITS[:2]]
+        cells += [_metres(_of_unit(reproduction, name, unit, "peak_travel")) for unit in UNITS[:2]]
         yield f"| {name} | " + " | ".join(cells) + " |"
     yield ""
 
@@ -179,7 +185,7 @@ def _with_scatter(values: list[float]) -> str:
     return f"{np.mean(values) / 1e3:.1f}{scatter}"
 
 
-def _pipelines(found: Reproduction) -> Iterator[str]:
+def _pipelines(reproduction: Reproduction) -> Iterator[str]:
     """Yield the lines of a table with the pressures of whole pipelines.
 
     Eq. 13 of Zhan et al. (2019) computes these pressures from the final pressures of the simulated vertical and
@@ -187,13 +193,15 @@ def _pipelines(found: Reproduction) -> Iterator[str]:
     """
     yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
     yield ""
-    yield "| pipeline | recorded | paper | " + " | ".join(columns_with_results(found)) + " |"
-    yield "|---|---|---|" + "---|" * len(columns_with_results(found))
+    yield "| pipeline | recorded | paper | " + " | ".join(columns_with_results(reproduction)) + " |"
+    yield "|---|---|---|" + "---|" * len(columns_with_results(reproduction))
     for place, (up, along, paper, recorded) in PIPELINES.items():
         cells = []
-        for name in columns_with_results(found):
+        for name in columns_with_results(reproduction):
             a, b = (
-                found.mean(name, {**unit_case(unit, found.quick), **column_parameters(name)}, "end_pressure")
+                reproduction.mean(
+                    name, {**unit_case(unit, reproduction.quick), **column_parameters(name)}, "end_pressure"
+                )
                 for unit in UNITS[:2]
             )
             cells.append(f"{(up * a + along * b) / 1e6:.1f}" if math.isfinite(a + b) else "-")
@@ -201,9 +209,10 @@ def _pipelines(found: Reproduction) -> Iterator[str]:
     yield ""
 
 
-def _row(found: Reproduction, row: Row) -> Iterator[str]:
+def _row(reproduction: Reproduction, row: Row) -> Iterator[str]:
     done = [
-        (name, *verdict_of(found, row, name)) for name in columns_with_results(found, [*CONCRETES, *OPEN_ASSUMPTIONS])
+        (name, *verdict_of(reproduction, row, name))
+        for name in columns_with_results(reproduction, [*CONCRETES, *OPEN_ASSUMPTIONS])
     ]
     done = [(name, means, verdict) for name, means, verdict in done if any(map(math.isfinite, means))]
     yield ""
@@ -217,7 +226,7 @@ def _row(found: Reproduction, row: Row) -> Iterator[str]:
     if row.printed:
         yield "| paper | " + " | ".join(_kpa(row.printed.get(value)) for value in row.values) + " |"
     for name, *_ in done:
-        yield f"| {name} | " + " | ".join(map(_with_scatter, pressures(found, row, name))) + " |"
+        yield f"| {name} | " + " | ".join(map(_with_scatter, pressures(reproduction, row, name))) + " |"
     yield ""
     for name, _, verdict in done:
         yield f"- {name}: {verdict}."
@@ -266,7 +275,7 @@ def draw(found: Reproduction) -> Figure:
     return figure
 
 
-def _xu(found: Reproduction) -> Iterator[str]:
+def _xu(reproduction: Reproduction) -> Iterator[str]:
     yield "# Xu, Li & Jiang 2021, reproduced"
     yield ""
     yield (
@@ -274,7 +283,7 @@ def _xu(found: Reproduction) -> Iterator[str]:
         "the closed form of each geometry. The paper reports errors below 3 %, and combines the flow of a pipe with "
         "the balance of forces of a channel."
     )
-    for group, cases in xu_cases(found.quick).items():
+    for group, cases in xu_cases(reproduction.quick).items():
         yield ""
         yield f"## {group[0].upper()}{group[1:]}"
         yield ""
@@ -284,11 +293,11 @@ def _xu(found: Reproduction) -> Iterator[str]:
         for scene, case in cases:
             key = key_of(f"{group}, {scene}", {**case, "seed": 0})
             shown = f"{VARIED[group]} {case[VARIED[group]]:g}" if group in VARIED else "mortar and grains"
-            if key not in found.results:
-                why = found.failures.get(key, "not run")
+            if key not in reproduction.results:
+                why = reproduction.failures.get(key, "not run")
                 yield f"| {scene} | {case['concrete']} | {shown} | {why} | | | | |"
                 continue
-            result = found.results[key]
+            result = reproduction.results[key]
             pressure, theory, slip, slip_theory = (
                 number(result[name])
                 for name in ("pressure", "pressure_theory", "slip_velocity", "slip_velocity_theory")

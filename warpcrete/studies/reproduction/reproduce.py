@@ -57,13 +57,13 @@ def reproduce(
     if not 1 <= seeds <= MAX_CASES:
         refuse("seeds", seeds, f"must be from 1 to {MAX_CASES}")
     columns, rows = chosen(paper, only)
-    taken: SceneArguments = {}
+    earlier_results: SceneArguments = {}
     for folder in known:
-        taken |= _results(folder, paper, quick)
+        earlier_results |= _results(folder, paper, quick)
     find_device(device)
     record = {"paper": paper, "quick": quick, "seeds": seeds, "device": device, "columns": columns, "rows": rows}
     with new_folder(out):
-        write_json(out / KNOWN_RESULTS, taken)
+        write_json(out / KNOWN_RESULTS, earlier_results)
         write_json(out / RECORD, record)
         return _continue(out, processes, progress)
 
@@ -172,10 +172,12 @@ def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[SceneA
     `name` is the name of the column. If `hydrated` is True, these are the runs in which a property of hydrated bonds
     varies. Otherwise, they are the runs of the pipe units, and the runs in which another parameter varies.
     """
-    asked = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
-    units = [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
+    requested_rows = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
+    units = (
+        [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in requested_rows and not hydrated else []
+    )
     # Leave out the runs with other aggregate sizes in a quick reproduction, because small stones make a run long.
-    rows = [row for row in ZHAN if row.name in asked and row.is_hydrated == hydrated
+    rows = [row for row in ZHAN if row.name in requested_rows and row.is_hydrated == hydrated
             and not (reproduction.quick and row.parameter == "size_max")]  # fmt: skip
     cases = units + [zhan_case(row, value, reproduction.quick) for row in rows for value in row.values]
     each = [{**case, **column_parameters(name), "seed": seed} for case in cases for seed in range(reproduction.seeds)]

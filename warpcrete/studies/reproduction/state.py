@@ -44,17 +44,17 @@ class Reproduction:
 
         The case has the `parameters`, and belongs to the `group` of runs. Values that are not finite are left out.
         """
-        found = []
+        numbers = []
         for seed in range(self.seeds):
             entry = self.results.get(key_of(group, {**parameters, "seed": seed}), {}).get(quantity)
             if entry is not None and math.isfinite(number(entry)):
-                found.append(number(entry))
-        return found
+                numbers.append(number(entry))
+        return numbers
 
     def mean(self, group: str, parameters: Mapping[str, object], quantity: str) -> float:
         """Return the mean of a quantity over the seeds of a case; NaN if no run has a value."""
-        found = self.values(group, parameters, quantity)
-        return float(np.mean(found)) if found else math.nan
+        numbers = self.values(group, parameters, quantity)
+        return float(np.mean(numbers)) if numbers else math.nan
 
 
 def key_of(group: str, parameters: Mapping[str, object]) -> str:

@@ -63,7 +63,7 @@ def nearest_shipped(name: str, module: SceneModule, given: Mapping[str, object],
     - The record was measured on the same kind of machine (GPU or CPU).
     """
     own = module.scene.resolved(given)
-    found = []
+    candidates = []
     for path in sorted(SHIPPED.glob("*.json")):
         record = read_json(path)
         if record["scene"] == name:
@@ -74,8 +74,8 @@ def nearest_shipped(name: str, module: SceneModule, given: Mapping[str, object],
             unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
             apart = len(outside(record["parameters"], own, module))
             other_machine = record["device"].startswith("cuda") != on_gpu
-            found.append((closed(here) != closed(there), unlike, apart, other_machine, str(path)))
-    return Path(min(found)[-1]) if found else None
+            candidates.append((closed(here) != closed(there), unlike, apart, other_machine, str(path)))
+    return Path(min(candidates)[-1]) if candidates else None
 
 
 def _kinds_of_aggregates(given: object) -> tuple[bool, bool]:
@@ -140,7 +140,7 @@ def advise(trade: Path, name: str, module: SceneModule, given: Mapping[str, obje
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: SceneArguments = {}
-    taken, left_out = [], []
+    levels_used, left_out = [], []
     for knob_name, key in levels.items():
         knob = knobs.get(knob_name)
         level = knob.level_of(key) if knob else None
@@ -150,12 +150,12 @@ def advise(trade: Path, name: str, module: SceneModule, given: Mapping[str, obje
             left_out.append(f"{knob_name} {level.label}, because you set its parameter")
         else:
             changes |= level.changes
-            taken.append(f"{knob_name} {level.label}")
+            levels_used.append(f"{knob_name} {level.label}")
     tolerance = module.trading.tolerance
     if tolerance and tolerance not in own and not left_out and module.trading.closed_form(module.scene.declared(own)):
         changes[tolerance] = accuracy
     return Advice(
-        changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
+        changes, ", ".join(levels_used) or "as given", chosen["promised"], quantities, chosen["ratio"],
         tuple(left_out), tuple(outside(measured, own, module)),
         tuple(name for name, error in chosen.get("carried", {}).items() if error), machine,
         time, version,
@@ -172,12 +172,12 @@ def outside(measured: Mapping[str, object], own: Mapping[str, object], module: S
     ours = module.scene.declared(own)
     with names_from_file():
         theirs = module.scene.declared(measured)
-    found = []
+    differences = []
     for name in declared_fields(module.scene.parameters):
         here, there = getattr(ours, name), getattr(theirs, name)
         if name not in IGNORED_PARAMETERS and here != there:
-            found.append(f"{name} {_shown(here)} instead of {_shown(there)}")
-    return found
+            differences.append(f"{name} {_shown(here)} instead of {_shown(there)}")
+    return differences
 
 
 def _shown(value: object) -> str:

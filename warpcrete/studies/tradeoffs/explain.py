@@ -85,20 +85,22 @@ def explain(
     the same errors as a run of the scene before its first step.
     """
     method = method_of(scene)
-    found = find_device(device)
+    selected_device = find_device(device)
     threads = checked_threads(threads)
     flag("cache", cache)
     # Read the trade-off record first, so that a wrong folder is refused before the measurements.
     folder = None if trade is None else folder_path("trade", trade)
-    savings, source = _measured_savings(scene, folder, found.is_cuda)
-    path = _cached(scene, found, threads) if cache else None
+    savings, source = _measured_savings(scene, folder, selected_device.is_cuda)
+    path = _cached(scene, selected_device, threads) if cache else None
     forecast = _read(path) if path is not None else None
     if forecast is None:
         if announce is not None:
             announce(MEASURING)
-        forecast = method.forecast(scene, found, scene.precision, threads, _frames)
-        words = provenance(found, scene.precision, 0)
-        name = words["device_name"] if found.is_cuda else f"{words.get('processor') or 'CPU'}, {threads} threads"
+        forecast = method.forecast(scene, selected_device, scene.precision, threads, _frames)
+        words = provenance(selected_device, scene.precision, 0)
+        name = (
+            words["device_name"] if selected_device.is_cuda else f"{words.get('processor') or 'CPU'}, {threads} threads"
+        )
         forecast = replace(forecast, device=name)
         if path is not None:
             try:
@@ -115,7 +117,7 @@ def _frames(simulation: SimulationBase) -> dict[str, float]:
 
     This time includes the time for finishing the recording at the end of a run, divided by the number of frames.
     """
-    found = {}
+    times = {}
     for kind in (kind for kind in RECORDERS if kind.default):
         with tempfile.TemporaryDirectory() as folder:
             recorder = kind.make(Path(folder), DrawSettings())
@@ -125,8 +127,8 @@ def _frames(simulation: SimulationBase) -> dict[str, float]:
             for _ in range(TIMED_FRAMES):
                 recorder.frame(simulation)
             recorder.finish(simulation, simulation.result(False))
-            found[kind.name] = (time.perf_counter() - begun) / TIMED_FRAMES
-    return found
+            times[kind.name] = (time.perf_counter() - begun) / TIMED_FRAMES
+    return times
 
 
 def _cached(scene: Any, device: wp.Device, threads: int) -> Path:
@@ -256,9 +258,9 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
     return record, f"the shipped trade {path.stem!r} on {record.get('machine', '')}{differs}"
 
 
-def _lines(told: Explanation) -> Iterator[str]:
-    f = told.forecast
-    yield f"scene {told.scene}, {f.method}, on {f.device}"
+def _lines(explanation: Explanation) -> Iterator[str]:
+    f = explanation.forecast
+    yield f"scene {explanation.scene}, {f.method}, on {f.device}"
     yield "  " + ", ".join(f"{count:,} {name}" for name, count in f.counts.items())
     yield from (f"  note: {remark}" for remark in f.remarks)
     yield "features"
@@ -278,10 +280,10 @@ def _lines(told: Explanation) -> Iterator[str]:
         frames = 1 + max(MINIMUM_FRAMES, int(f.duration / LONGEST_FRAME_INTERVAL))
         spent = ", ".join(f"{_seconds(frames * each)} {name}" for name, each in f.frame.items())
         yield f"  plus {frames} recorded frames: {spent}"
-    yield "largest possible savings of time" + (f" (errors from {told.source})" if told.source else "")
-    if not told.savings:
+    yield "largest possible savings of time" + (f" (errors from {explanation.source})" if explanation.source else "")
+    if not explanation.savings:
         yield "  none known"
-    for saving in told.savings[:5]:
+    for saving in explanation.savings[:5]:
         yield f"  {saving.what}: {saving.ratio:.2g} of the wall time; {saving.error}"
 
 

@@ -115,12 +115,12 @@ def distance_to_limit(widths: Sequence[float], values: Sequence[float], value: f
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Return the indices of those (cost, error) pairs that lie on the Pareto front, in the order of rising cost."""
     order = sorted(range(len(points)), key=lambda k: points[k])
-    best, found = math.inf, []
+    best, indices = math.inf, []
     for k in order:
         if points[k][1] < best:
             best = points[k][1]
-            found.append(k)
-    return found
+            indices.append(k)
+    return indices
 
 
 def cheapest_within(

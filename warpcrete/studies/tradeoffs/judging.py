@@ -62,22 +62,22 @@ class Judging(ABC):
 
     def errors_of(self, point: Setting, seeds: Sequence[int]) -> list[Error]:
         """Return the errors of a setting in its runs with the given seeds, one for each measured quantity."""
-        found = []
+        measured_errors = []
         ran = sum(seed in point.results for seed in seeds)
         for each in self.quantities if ran else ():
             values = point.values(each.name, seeds)
             if len(values) < ran:
                 # A run gave no value for this quantity, so its error counts as infinite.
-                found.append(Error(each.name, math.inf, 0.0))
+                measured_errors.append(Error(each.name, math.inf, 0.0))
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
                 mean, half_width = mean_interval(errors)
-                found.append(Error(each.name, mean, half_width))
+                measured_errors.append(Error(each.name, mean, half_width))
             elif (finest := self.reference_of(point)) is not None:
                 reference = finest.values(each.name, self.seeds)
                 if reference:
-                    found.append(difference(each.name, values, reference))
-        return found
+                    measured_errors.append(difference(each.name, values, reference))
+        return measured_errors
 
     def reference_of(self, point: Setting) -> Setting | None:
         """Return the reference setting with which a setting is compared; None if there is none yet.

@@ -43,9 +43,9 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
     def distance(x: np.ndarray) -> np.ndarray:
         s = axis.along(frame.to_scene(x))
         # Upstream of the plane through which aggregates enter, the bore has the same cross-section as at this plane.
-        found = bore(x - np.minimum(s, 0.0)[:, None] * way)
-        found = np.minimum(found, np.minimum(s + behind, axis.length - s))
-        return np.minimum(found, x[:, 1]) if half else found
+        clearance = bore(x - np.minimum(s, 0.0)[:, None] * way)
+        clearance = np.minimum(clearance, np.minimum(s + behind, axis.length - s))
+        return np.minimum(clearance, x[:, 1]) if half else clearance
 
     def draw(rng: np.random.Generator, count: int) -> np.ndarray:
         s = np.interp(rng.uniform(0, volume[-1], count), volume, edges)
@@ -57,15 +57,15 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
         return np.where([False, half, False], np.abs(x), x)
 
     corners = np.zeros(3)
-    found = aggregates_within(scene, float(volume[-1]), distance, corners, corners, scene.seed, draw=draw)
-    enters, appears = _times(found, lambda x: axis.along(frame.to_scene(x)), speed, scene, layout)
+    aggregates = aggregates_within(scene, float(volume[-1]), distance, corners, corners, scene.seed, draw=draw)
+    enters, appears = _times(aggregates, lambda x: axis.along(frame.to_scene(x)), speed, scene, layout)
     gravity = frame.axes @ [0.0, 0.0, -scene.gravity]
     # All aggregates start with the mean velocity of the flow at their places, so that aggregates upstream of the plane
     # do not push others.
-    depth = axis.along(frame.to_scene(found.centre))
+    depth = axis.along(frame.to_scene(aggregates.centre))
     fast = speed * (scene.radius / scene.bore(np.maximum(depth, 0.0))) ** 2
     start = fast[:, None] * (axis.at(depth)[1] @ frame.axes.T)
-    return replace(found, velocity=start), Entrance(velocity, appears, enters, gravity)
+    return replace(aggregates, velocity=start), Entrance(velocity, appears, enters, gravity)
 
 
 def _times(

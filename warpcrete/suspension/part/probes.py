@@ -92,15 +92,15 @@ class Census:
 
         The force between two aggregates acts on the cross-sections between their centres.
         """
-        found, scene, body = pair_forces(self.flow), self.scene, self.flow.aggregates.parts.body
-        between = found.other != int(WALL)
-        own, other = body[found.own[between]], body[found.other[between]]
+        forces, scene, body = pair_forces(self.flow), self.scene, self.flow.aggregates.parts.body
+        between = forces.other != int(WALL)
+        own, other = body[forces.own[between]], body[forces.other[between]]
         ends = np.sort(self.place[np.stack([own, other])], axis=0)
         middle = np.clip(ends.mean(0), 0, scene.axis.length)
         tangent = scene.axis.at(middle)[1] @ self.frame.axes.T
         # The component of the normal along the pipe's axis is positive if the sphere is upstream of its neighbour.
-        upstream = np.sign(np.sum(found.normal[between] * tangent, 1))
-        pushing = -upstream * np.sum(found.force[between] * tangent, 1)
+        upstream = np.sign(np.sum(forces.normal[between] * tangent, 1))
+        pushing = -upstream * np.sum(forces.force[between] * tangent, 1)
         # Two aggregates that have both entered occur twice as a pair. A pair with an aggregate that is still entering
         # occurs once.
         share = np.where(self.free[other], 0.5, 1.0)

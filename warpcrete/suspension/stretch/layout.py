@@ -48,8 +48,8 @@ def stretch_layout(scene: StretchScene) -> tuple[GridLayout, Aggregates]:
         return scene.radius - scene.aside(x[:, 0], x[:, 1])
 
     def clear(x: np.ndarray) -> np.ndarray:
-        found = distance(x)
-        return np.minimum(found, np.minimum(x[:, 1], scene.depth - x[:, 1])) if scene.depth else found
+        clearance = distance(x)
+        return np.minimum(clearance, np.minimum(x[:, 1], scene.depth - x[:, 1])) if scene.depth else clearance
 
     geometry = geometry_of(room, [] if scene.depth else [(distance, PLATE)])
     places, mass = fill_cells(room, PARTICLES_PER_AXIS, lambda x: distance(x) > 0)
