@@ -55,6 +55,9 @@ SLICES, MAX_SLICES = 2.0, 1000
 `SLICES` is the number of slices per length of one pipe diameter, and `MAX_SLICES` the maximum number of slices in the
 whole pipe.
 """
+FLUX_TOLERANCE = 0.2
+"""Largest difference of the ratio of outflow to inflow from 1 in a valid run. With a larger one, the concrete is still
+being compressed, and friction upstream and downstream belong to different flows."""
 MAX_BALANCE_ERROR = 0.01
 """Largest error of the aggregates' momentum balance in a valid run, divided by the largest impulse (force summed over
 time) in the balance."""
@@ -116,6 +119,7 @@ CURES = {
     "not blocked": "a smaller --size-max, or a larger --diameter; a larger --modulus if soft aggregates are compressed",
     "plug holds": "a smaller --plug-ball, or more --plug-layers",
     "enough aggregates": "a smaller --size-max, or a larger --diameter",
+    "outflow equals inflow": "a longer --travel, or a larger --modulus",
     "plateau": "a longer --travel",
 }
 
@@ -156,6 +160,9 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
             False,
             f"{aggregates}; at least {MIN_AGGREGATES} are needed to represent concrete",
         )
+    if "flux_ratio" in result and not blocked:
+        ratio = number(result["flux_ratio"])
+        found["outflow equals inflow"] = (abs(ratio - 1) <= FLUX_TOLERANCE, _flux_words(ratio))
     if "plateau_pressure" in result:
         plateau = number(result["plateau_pressure"])
         found["plateau"] = (math.isfinite(plateau), f"{plateau / 1e3:.4g} kPa")
@@ -163,6 +170,12 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
+
+
+def _flux_words(ratio: float) -> str:
+    """Return the ratio of outflow to inflow in words, with the reason if it is far from 1."""
+    words = f"outflow is {100 * ratio:.0f} % of the inflow (allowed: 100 +- {100 * FLUX_TOLERANCE:.0f} %)"
+    return words if ratio >= 1 - FLUX_TOLERANCE else f"{words}; the aggregates are still being compressed"
 
 
 def _past_plug(run: Run) -> tuple[int, int] | None:

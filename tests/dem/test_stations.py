@@ -12,7 +12,7 @@ from test_part_elements import SMALL
 from warpcrete import Simulation, scenes
 from warpcrete.dem.laws import Contact, LubricationLayer
 from warpcrete.dem.measure.station_forces import STRESS_RESOLUTION, body_stresses
-from warpcrete.dem.measure.station_losses import losses
+from warpcrete.dem.measure.station_losses import layer_gradient, losses
 from warpcrete.dem.measure.stations import COLUMNS, FRONT, _front, measured, stresses_along
 from warpcrete.dem.scene.clumps import clump
 from warpcrete.dem.scene.scene import Bodies, Scene, Stations
@@ -206,6 +206,17 @@ def test_gradient_is_what_rubs_on_the_wall(device):
     assert run["wall_stress"] * 4 / 0.08 == pytest.approx(run["gradient"], rel=0.1)
     ahead = stress[0] + place[0] * 4 / 0.08 * shear[0]
     assert run["end_pressure"] == pytest.approx(ahead, rel=0.06)
+
+
+def test_friction_by_theory_of_a_slip_layer():
+    """Plug flow in bores of 100 and 80 mm: 4 tau / d, where the layer acts on 80 % of the wall."""
+    given = dict(concrete="no1", unit="horizontal", diameter=0.1, outlet_diameter=0.08, flow=1500e-6)
+    scene = scenes.part_dem(**given)
+    for d, edge in ((0.1, 0), (0.08, -1)):
+        tau = 251 + 893 * 1500e-6 / (np.pi * d**2 / 4)
+        assert layer_gradient(scene, scene.stations.edges[edge]) == pytest.approx(4 * tau / d, rel=1e-9)
+    assert layer_gradient(scenes.part_dem(**given, wall_friction=0.05), 0.0) is None
+    assert layer_gradient(scenes.part_dem(**given | dict(concrete="zhan-table1")), 0.0) is None
 
 
 def test_losses_of_a_middle_where_friction_rises_with_pressure():

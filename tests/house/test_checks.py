@@ -259,6 +259,10 @@ def blocked(made: Made) -> None:
     made.blocked = dict.fromkeys(BLOCKAGE, 1.0)
 
 
+def outflow(made: Made, ratio: float) -> None:
+    made.measured = {"flux_ratio": ratio}
+
+
 def stopped(made: Made) -> None:
     made.finished = False
 
@@ -283,6 +287,10 @@ def of_pumped(run: str) -> list[Case]:
         Case("enough aggregates", "low", bodies_of, 30, 29),
         off("not blocked", blocked),
     ]
+    if run == "part-dem":
+        cases += [Case("outflow equals inflow", side, outflow, 1 + sign * 0.2 * (1 - NEAR), 1 + sign * 0.2 * (1 + NEAR))
+                  for side, sign in (("high", 1), ("low", -1))]  # fmt: skip
+        cases.append(Case("outflow equals inflow", "high", outflow, bad=NAN))
     if run != "pipe, plate":
         cases.append(Case("plug holds", "high", past_plug, 2, 3))
         cases.append(Case("plug holds", "high", against_plug, 100))

@@ -19,7 +19,7 @@ from .probes import ContactSums
 from .sampling import STORED
 from .segregation import QUANTITIES as OF_SEGREGATION
 from .segregation import words as segregation_words
-from .station_losses import losses
+from .station_losses import layer_gradient, losses
 from .stations import StationLog
 from .vessel_measures import quantities as of_vessels
 from .wear import WearMap
@@ -68,6 +68,16 @@ class Known:
         if self.log is None or not self.pumped:
             return None
         return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
+
+    def theory_beside(self, name: str) -> float | None:
+        """Return the closed form of the gradient called `name` in plug flow [Pa/m].
+
+        The result is None if this gradient was not measured, or if the contact laws have no closed form.
+        """
+        if self.along(name) is None:
+            return None
+        edges = self.log.stations.edges  # type: ignore[union-attr]
+        return layer_gradient(self.scene, edges[-1] if name == "downstream_gradient" else edges[0])
 
     @property
     def pumped(self) -> bool:
@@ -241,7 +251,11 @@ def _plateau_words(run: Run) -> str:
 
 def _gradient_words(name: str):
     def words(run: Run) -> str:
-        return f"{number(run.result[name]) / 1e3:.3g} kPa/m"
+        measured = f"{number(run.result[name]) / 1e3:.3g} kPa/m"
+        if f"{name}_theory" not in run.result:
+            return measured
+        theory = number(run.result[f"{name}_theory"])
+        return f"{measured}   (straight pipe by theory, plug flow along the slip layer: {theory / 1e3:.3g})"
 
     return words
 
@@ -308,6 +322,8 @@ ON_PLATEAU = (
     "('end_pressure' is the mean in any case)"
 )
 """Text for users that says when a run has results about the plateau of its pressure."""
+WITH_LAYER = "the wall has a slip layer and no friction"
+"""Text for users that says when a run has a closed form of the friction."""
 
 QUANTITIES = (
     Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
@@ -335,9 +351,16 @@ QUANTITIES = (
              meaning="`restart_pressure` divided by `end_pressure`"),
     Quantity("gradient", "Pa/m", lambda k: k.along("gradient"), "friction", _gradient_words("gradient"), True,
              meaning="Friction per length of a straight pipe, without weight"),
+    Quantity("gradient_theory", "Pa/m", lambda k: k.theory_beside("gradient"),
+             meaning="Theoretical friction per length of straight pipe, in plug flow along the slip layer",
+             only_if=WITH_LAYER),
     Quantity("upstream_gradient", "Pa/m", lambda k: k.along("upstream_gradient"), "friction upstream",
              _gradient_words("upstream_gradient"), True,
              meaning="Friction per length of the straight pipe before the bend, taper or bore, without weight"),
+    Quantity("upstream_gradient_theory", "Pa/m", lambda k: k.theory_beside("upstream_gradient"),
+             meaning="Theoretical friction per length of the straight pipe before the bend, taper or bore, in plug "
+                     "flow along the slip layer",
+             only_if=WITH_LAYER),
     Quantity("middle_loss", "Pa", lambda k: k.along("middle_loss"), "bend, taper, bore", _middle_words, True,
              meaning="Friction of the bend, taper or bore, without weight: the difference between the lines fitted "
                      "to the axial stress before and behind this middle part"),
@@ -348,6 +371,10 @@ QUANTITIES = (
     Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
              _gradient_words("downstream_gradient"), True,
              meaning="Friction per length of the straight pipe behind the bend, taper or bore, without weight"),
+    Quantity("downstream_gradient_theory", "Pa/m", lambda k: k.theory_beside("downstream_gradient"),
+             meaning="Theoretical friction per length of the straight pipe behind the bend, taper or bore, in plug "
+                     "flow along the slip layer",
+             only_if=WITH_LAYER),
     Quantity("flux_ratio", "1", lambda k: k.along("flux_ratio"), "outflow over inflow",
              lambda run: f"{100 * run.result['flux_ratio']:.0f} %",
              meaning="Volume flow of the aggregates behind the middle, divided by the volume flow before the middle"),

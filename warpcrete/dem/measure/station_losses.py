@@ -5,6 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..laws import Contact, LubricationLayer
+from ..scene.concretes import COVERAGE
+from ..scene.scene import Scene
 from ..scene.slices import FEWEST, Stations
 
 
@@ -78,6 +81,24 @@ class _Straight:
     mean: float
     """Mean wall stress in the straight section [Pa]."""
     flux: float
+
+
+def layer_gradient(scene: Scene, place: float) -> float | None:
+    """Return the friction per length of straight pipe in plug flow [Pa/m], with the bore at an arc length `place` [m].
+
+    In plug flow, all stones slide along the lubrication layer at the mean velocity v of the concrete. The gradient is
+    4 tau / d with the wall stress tau = c (tau_L0 + eta_L v), where c is the fraction COVERAGE of the wall on which the
+    layer acts. The result is None without a lubrication layer, and with friction of stones on the wall, because such
+    friction rises with the pressure.
+    """
+    law, pipe = scene.contacts.get(("aggregate", "wall")), scene.pipe
+    if pipe is None or scene.stations is None or type(law) is not LubricationLayer:
+        return None
+    if type(law.contact) is not Contact or law.contact.friction > 0:
+        return None
+    radius = float(scene.stations.bores.at(place))
+    velocity = pipe.velocity * (pipe.radius / radius) ** 2
+    return 2 * COVERAGE * (law.yield_stress + law.viscosity * velocity) / radius
 
 
 def _logarithmic_mean(a: float, b: float) -> float:

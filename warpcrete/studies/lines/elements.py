@@ -49,9 +49,6 @@ modulus of the elements. With this pressure the plug resists the flow."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to elastic modulus above which the wall friction is assumed constant, because the linear friction
 law is not valid for the large overlaps of elements at such pressures."""
-MIN_FLUX_RATIO = 0.8
-"""Outflow of elements from a part, divided by the inflow into this part, below which a remark warns the user that the
-concrete is still being compressed."""
 TOO_SHORT = "is too short to measure its pressure loss: elements fill too few of the slices in which it is measured"
 """Problem stated in the error message for a part whose simulation gives no pressure loss."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
@@ -126,7 +123,7 @@ def run_elements(
                 f"{name}: {run.result['checks'][name]['found']}" for name in bad
             ]
     result = ElementLine(line, concrete, flow, packed, [], took, elapsed, failed)
-    result.remarks = list(_remarks(result, runs, kinds))
+    result.remarks = list(_remarks(result))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_json(out / "line-dem.json", result.record())
@@ -262,23 +259,13 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
     return SeedResult(laws, ratios, float(np.mean(densities)), blocked)
 
 
-def _remarks(result: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
-    """Yield remarks for the user about the line, about failed checks, and about limits of the simulations.
-
-    The keys of `runs` are pairs of a kind of part and a seed. `kinds` maps each kind to one part of this kind.
-    """
+def _remarks(result: ElementLine) -> Iterator[str]:
+    """Yield remarks for the user about the line, about failed checks, and about limits of the simulations."""
     yield from result.line.remarks()
     if any(part.layer != 1 for part in result.line.parts):
         yield "hoses are simulated with the slip layer of pipes"
     for name, bad in result.failed.items():
         yield from (f"check FAILED in {name}: {what}" for what in bad)
-    for (key, seed), run in runs.items():
-        ratio = run.result.get("flux_ratio")
-        if ratio is not None and number(ratio) < MIN_FLUX_RATIO:
-            name = _run_name(key, kinds[key], seed)
-            yield (
-                f"{name}: outflow is {100 * number(ratio):.0f} % of the inflow; the concrete is still being compressed"
-            )
     for part, blocked in zip(result.line.parts, result.blocked(), strict=True):
         if blocked:
             yield (
