@@ -12,8 +12,8 @@ from ..core.errors import SceneError, flag, refuse, suggested
 from ..core.inputs.parameters import declared_fields
 from ..core.inputs.scene_functions import SceneFunction
 from ..core.run.files import output_folder
-from ..core.run.progress import progress_bar, stderr_is_terminal
-from .study import Progress, run_study
+from ..core.run.progress import Progress, progress_bar, stderr_is_terminal
+from .study import run_study
 from .study_result import Study
 
 SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "frames", "checkpoint_every", "scheduler",

@@ -16,6 +16,7 @@ from ..core.inputs.text_files import saved_text
 from ..core.records import Record
 from ..core.run.files import read_json
 from ..core.run.folders import FolderLock
+from ..core.run.progress import Progress
 from ..core.run.run import Run
 from ..core.run.scene_module import SceneModule
 from ..methods import Simulation, method_of
@@ -31,7 +32,6 @@ freed. An interruption therefore loses at most the initial packings of elements 
 """
 FAILED = "failed.txt"
 """Name of the file in a case's folder that states why the case failed. A case with this file is not run again."""
-Progress = Callable[[str, float, dict[str, Any]], None]
 OutcomeCallback = Callable[[Case, Any], None]
 """Callback that receives a case and its outcome: a run, the contents of its result.json, or an exception."""
 

@@ -5,7 +5,7 @@ on its own CUDA stream. On a CPU, each case runs in its own process. Every case 
 study's folder, and a resumed study runs only unfinished cases.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from ..core.inputs.scene_functions import SceneFunction
 from ..core.records import Record, SceneArguments
 from ..core.run.files import check_new, read_record, write_json
 from ..core.run.folders import locked_folder, new_folder
+from ..core.run.progress import Progress
 from ..core.run.provenance import provenance
 from ..core.run.run import Run
 from ..core.run.scene_module import SceneModule
@@ -43,8 +44,6 @@ from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .running import FAILED, outcome_of, previous_outcome, run_in_processes, run_on_gpu
 from .study_result import Study
 from .workers import WorkerDied
-
-Progress = Callable[[str, float, dict[str, Any]], None]
 
 
 def run_study(

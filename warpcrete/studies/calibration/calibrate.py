@@ -9,7 +9,7 @@ Finally, verification runs simulate the likeliest parameters with fresh seeds.
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from ...core.inputs.origin import check_files, files_read
 from ...core.records import Record
 from ...core.run.files import check_new, output_folder, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
+from ...core.run.progress import Progress
 from ...core.run.scene_module import SceneModule
 from ...record.checks import failed_checks
 from ...scenes import modules
@@ -38,7 +39,6 @@ from .starts import closed_forms
 from .targets import Target, Task, found_in, read_task, task_of
 
 RECORD = "calibration.json"
-Progress = Callable[[str, float, dict[str, Any]], None]
 COARSE_ERROR = 0.1
 """Assumed standard deviation of the error of coarse runs, as a fraction of the measured value. Most of the first full
 trials are samples of the posterior of the coarse runs; a larger assumed error only makes this posterior wider."""

@@ -6,15 +6,14 @@ seeds.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from ...core.errors import between, refuse
 from ...core.inputs.customary import both
 from ...core.records import Record, SceneArguments
 from ...core.run.files import write_json
+from ...core.run.progress import Progress
 from ...core.units import number, quantity
 from ...dem.measure.blockage import STANDING_RATIO
 from ...geometry.pipe_line import Part, PipeLine
@@ -48,7 +47,6 @@ MODULUS = 2e6
 """Smallest elastic modulus of the stones in simulations of blocking [Pa]; softer stones get this modulus, because they
 would squeeze through bores that block in reality. The simulations of funnels from which :data:`FRICTION` was chosen
 used this modulus."""
-Progress = Callable[[str, float, dict[str, Any]], None]
 
 
 @dataclass(frozen=True)

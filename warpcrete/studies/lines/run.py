@@ -1,7 +1,7 @@
 """Pressure of a pump line by flow simulation: each kind of part is simulated once, and the losses are added up."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ from ...core.device.interrupts import StopAtSample
 from ...core.errors import between
 from ...core.records import SceneArguments
 from ...core.run.files import check_new, read_json
+from ...core.run.progress import Progress
 from ...core.units import number
 from ...geometry.pipe_line import Part, PipeLine
 from ...mps.common.mixes import CONCRETE_CONSTANTS
@@ -38,7 +39,6 @@ CURE = "; usual cure: "
 """Words in the text of a failed check that precede the scene parameters by which the failure can be avoided."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
 """Option of `warpcrete line` that helps if a check of a simulated part fails, by the name of the check."""
-Progress = Callable[[str, float, dict[str, Any]], None]
 
 
 def run_line(

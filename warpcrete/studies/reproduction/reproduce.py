@@ -1,6 +1,6 @@
 """Reproduction of a paper: run the paper's cases, and judge whether the results agree with its numbers and trends."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from ...core.inputs.hyphens import spelled
 from ...core.records import Record, SceneArguments
 from ...core.run.files import read_json, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
+from ...core.run.progress import Progress
 from ...core.run.scene_module import SceneModule
 from ...scenes import modules
 from ..cases import MAX_CASES, Case
@@ -28,7 +29,6 @@ QUICK = ("literal", "calibrated")
 HYDRATED = ("calibrated", "literal")
 """Names of the concretes that are also run with hydrated bonds, the stiffer of two kinds of bonds between elements. The
 concrete "stiff stones" is not among them, because its runs would need ten times as many time steps."""
-Progress = Callable[[str, float, dict[str, Any]], None]
 
 
 def reproduce(

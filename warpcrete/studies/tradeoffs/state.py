@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from ...core.inputs.parameters import declared_fields
 from ...core.records import SceneArguments
 from ...core.run.files import read_json
 from ...core.run.method import Quantity
+from ...core.run.progress import Progress
 from ...core.run.run import Run
 from ...methods import Simulation, method_of
 from ...record.recorders import recorders_of
@@ -27,7 +28,6 @@ COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
 """Recording options of the runs on workers: frames per simulated second, and wall time between checkpoints [s]. The
 value 0 switches checkpoints off, because the wall time of a resumed run could not be compared with the wall times of
 other runs."""
-Tell = Callable[[str, float, dict[str, Any]], None]
 
 
 class Trade(Judging):
@@ -208,7 +208,7 @@ class Trade(Judging):
         by_name = {knob.name: knob for knob in self.knobs}
         return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
 
-    def run(self, point: Setting, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
+    def run(self, point: Setting, seeds: Sequence[int], tell: Progress, until: float = 1.0) -> bool:
         """Run a setting with those `seeds` that have not run yet; return whether all `seeds` then have a result.
 
         A run does not start if it is expected to end after the fraction `until` of the budget is spent.
@@ -216,7 +216,7 @@ class Trade(Judging):
         self.run_all([point], seeds, tell, until)
         return self.complete(point, seeds)
 
-    def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
+    def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Progress, until: float = 1.0) -> None:
         """Run the settings in their order on all workers, each setting with those `seeds` that have not run yet.
 
         A run does not start if it is expected to end after the fraction `until` of the budget is spent.
@@ -242,7 +242,7 @@ class Trade(Judging):
         return [] if point.failure else [seed for seed in seeds if seed not in point.results]
 
     def _due(
-        self, lacking: Sequence[tuple[Setting, list[int]]], tell: Tell, until: float
+        self, lacking: Sequence[tuple[Setting, list[int]]], tell: Progress, until: float
     ) -> Iterator[tuple[Setting, list[int], float]]:
         """Yield the jobs one by one, each as a setting, some of its seeds, and the time left for their runs [s].
 

@@ -29,6 +29,7 @@ from ...core.inputs.scene_functions import SceneFunction
 from ...core.records import Record
 from ...core.run.files import check_new, output_folder, read_json, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
+from ...core.run.progress import Progress
 from ...core.run.provenance import provenance, versions
 from ...core.run.scene_module import SceneModule
 from ...methods import Simulation, method_of
@@ -38,7 +39,7 @@ from ..cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
 from .points import COMBINED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
 from .report import write
-from .state import Tell, Trade
+from .state import Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH_SEEDS = 3
@@ -77,7 +78,7 @@ def run_trade(
     threads: int | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: Tell | None = None,
+    progress: Progress | None = None,
 ) -> Trade:
     """Measure how the accuracy settings of the scene `module.scene` change its run time and its errors.
 
@@ -187,7 +188,7 @@ def resume_trade(
     budget: float | str = 1200.0,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: Tell | None = None,
+    progress: Progress | None = None,
 ) -> Trade:
     """Continue a trade-off study for another `budget` of wall time [s], reusing the finished runs.
 
@@ -233,14 +234,14 @@ def resume_trade(
         return _continue(trade, budget, cluster, progress)
 
 
-def _continue(trade: Trade, budget: float, cluster: Cluster | None, progress: Tell | None) -> Trade:
+def _continue(trade: Trade, budget: float, cluster: Cluster | None, progress: Progress | None) -> Trade:
     trade.budget, trade.cluster = budget, cluster
     _measure(trade, progress or (lambda phase, fraction, figures: None))
     trade.cluster = None
     return trade
 
 
-def _measure(trade: Trade, tell: Tell) -> None:
+def _measure(trade: Trade, tell: Progress) -> None:
     """Run all phases that the budget allows; write the tables and the figure even after an error or an interruption."""
     given = trade.point(GIVEN, {})
     try:
@@ -253,7 +254,7 @@ def _measure(trade: Trade, tell: Tell) -> None:
         write(trade)
 
 
-def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
+def _phases(trade: Trade, given: Setting, tell: Progress) -> None:
     if not trade.run(given, trade.seeds[:1], tell):
         if given.failure:
             problem = f"fails with the given parameters: {given.failure}"
@@ -297,7 +298,7 @@ def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
     _find_promises(trade, tell)
 
 
-def _one_at_a_time(trade: Trade, tell: Tell) -> None:
+def _one_at_a_time(trade: Trade, tell: Progress) -> None:
     """Change one accuracy parameter at a time, and run the scene with each of its possible values.
 
     Settings with a low expected cost run first.
@@ -306,7 +307,7 @@ def _one_at_a_time(trade: Trade, tell: Tell) -> None:
     trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, SINGLE_KNOBS_UNTIL)
 
 
-def _run_reference(trade: Trade, tell: Tell) -> None:
+def _run_reference(trade: Trade, tell: Progress) -> None:
     """Run the reference setting: every knob at its finest level, or as fine as the budget allows.
 
     A knob is a parameter that trades accuracy for run time, and its levels are its possible values. As long as the run
@@ -350,7 +351,7 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
     point.origin = REFERENCE
 
 
-def _run_combinations(trade: Trade, tell: Tell) -> None:
+def _run_combinations(trade: Trade, tell: Progress) -> None:
     """Run, for each error limit, the combination of accuracy parameters that is expected to be the cheapest one.
 
     The expected error and time of a combination follow from runs in which a single parameter was changed. The errors
@@ -366,7 +367,7 @@ def _run_combinations(trade: Trade, tell: Tell) -> None:
     trade.run_all(sorted(points, key=trade.expected), trade.seeds, tell, COMBINED_UNTIL)
 
 
-def _find_promises(trade: Trade, tell: Tell) -> None:
+def _find_promises(trade: Trade, tell: Progress) -> None:
     """Find and test, for each error limit, the cheapest setting whose error bound is within the limit.
 
     The error limits are those of `WANTED_ERRORS`. A setting is tested in runs with new random seeds and in runs of
@@ -404,7 +405,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
 
 
 def _test_variants(
-    trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, object]], target: float, tell: Tell
+    trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, object]], target: float, tell: Progress
 ) -> tuple[dict[str, Error | None], float]:
     """Return a setting's largest error in each variant of the scene, and an upper bound of its error in other scenes.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from ...core.drawing.html import html_table
 from ...core.errors import WarpcreteError, one_line, one_of
 from ...core.records import Record
 from ...core.run.files import atomic_file, write_json
+from ...core.run.method import Progress
 from .blocked import BlockingComparison, compare_blocking
 from .cases import BASES, Case, held_out_groups, shipped_cases
 from .comparison import Comparison, compare
@@ -26,8 +27,6 @@ from .simulated import representatives, simulate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
