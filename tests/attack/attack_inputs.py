@@ -21,8 +21,10 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
+from attack_more_tables import more_attacks
 from attack_tables import Attack, attacks
 from command_ends import failed_checks
 
@@ -189,7 +191,7 @@ def run(chosen: list[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="attack-made-") as name:
         made = Path(name)
         made_folders(made)
-        for attack in attacks():
+        for attack in chain(attacks(), more_attacks()):
             label = f"{attack.kind}: {attack.label}"
             if chosen and not any(word in label for word in chosen):
                 continue

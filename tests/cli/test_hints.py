@@ -165,6 +165,10 @@ def test_the_viewer_names_the_recorded_runs_of_a_study(tmp_path):
     assert f"is the folder of a study; view one of its 1 recorded runs, as in 'warpcrete view {case}'" in said
     assert "is not a recording" in refused(lambda: viewer(tmp_path / "study.json"), RunFolderError)
     assert "does not exist" in refused(lambda: viewer(tmp_path / "none"), RunFolderError)
+    for content in (b"", b"\0" * 64):
+        (case / "run.rrd").write_bytes(content)
+        assert "is empty or damaged, so it is not a recording" in refused(lambda: viewer(case), RunFolderError)
+        assert "is empty or damaged" in refused(lambda: viewer(case / "run.rrd"), RunFolderError)
 
 
 @pytest.mark.parametrize(

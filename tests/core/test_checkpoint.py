@@ -14,7 +14,7 @@ from pumping import SMALL, command, small_options
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError
 from warpcrete.core.inputs.fingerprints import fingerprint
-from warpcrete.core.run.checkpoint import discard, remove
+from warpcrete.core.run.checkpoint import _digest, discard, remove
 from warpcrete.core.run.files import partial_of
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.engine.state_data import state_hash
@@ -204,6 +204,10 @@ def test_a_checkpoint_is_removed_with_the_file_of_a_write_that_was_interrupted(t
     remove(path)  # A run that ends before its first checkpoint has neither file.
 
 
+def as_bytes(content):
+    return np.frombuffer(content, dtype=np.uint8)
+
+
 def test_a_foreign_or_altered_checkpoint_is_refused_with_the_reason(saved):
     with pytest.raises(RunFolderError, match="belongs to another scene"):
         Simulation(mixed_scene(1), device="cpu").resume(saved)
@@ -211,10 +215,20 @@ def test_a_foreign_or_altered_checkpoint_is_refused_with_the_reason(saved):
         Simulation(mixed_scene(), device="cpu", precision="float64").resume(saved)
     with np.load(saved) as file:
         arrays = dict(file)
+    whole = dict(arrays)
     arrays["state/bodies/position"] = arrays["state/bodies/position"] + 1e-3
     np.savez(saved, **arrays)
     with pytest.raises(RunFolderError, match="do not match its checksum"):
         Simulation(mixed_scene(), device="cpu").resume(saved)
+    for key, value, says in (
+        ("warpcrete checkpoint", 1, "has checkpoint format 1"), ("versions", {"warp": "0.1"}, "written by warp 0.1"),
+        ("versions", None, "lacks data of the run"), ("contents", None, "lacks data"), ("contents", {}, "lacks data"),
+    ):  # fmt: skip
+        changed = whole | {"text": as_bytes(json.dumps(json.loads(whole["text"].tobytes()) | {key: value}).encode())}
+        del changed["digest"]
+        np.savez(saved, **changed, digest=as_bytes(_digest(changed)))
+        with pytest.raises(RunFolderError, match=says):
+            Simulation(mixed_scene(), device="cpu").resume(saved)
     np.savez(saved, somebody="else")
     with pytest.raises(RunFolderError, match="is not a checkpoint of warpcrete"):
         Simulation(mixed_scene(), device="cpu").resume(saved)

@@ -278,7 +278,7 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
     with pytest.raises(RunFolderError, match=r"the run has no folder"):
         Simulation(scenes.channel(duration=0.001, spacing=0.01, length=0.1), device="cpu", threads=1).run().view()
     for name in ("run.rrd", "run-001.rrd"):
-        (tmp_path / name).write_bytes(b"")
+        (tmp_path / name).write_bytes(b"RRF2")
     assert viewer(tmp_path).in_browser  # without a screen, a browser shows the recording
     served = viewer(tmp_path, web=True)
     place = served.command.index(str(tmp_path / "run.rrd"))

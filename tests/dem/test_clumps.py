@@ -111,6 +111,12 @@ def test_open_mesh_is_refused():
     box.update_faces(np.arange(len(box.faces)) > 0)
     with pytest.raises(SceneError, match="is not closed: 3 of its edges"):
         clumps.from_mesh(box, 5)
+    beside = trimesh.creation.box()
+    beside.apply_translation([1, 1, 0])
+    both = trimesh.util.concatenate([trimesh.creation.box(), beside])
+    both.merge_vertices()
+    with pytest.raises(SceneError, match="has 1 edges to which more than two triangles belong; join bodies"):
+        clumps.from_mesh(both, 5)
 
 
 def test_sieve_curve_is_met_by_mass():

@@ -242,6 +242,15 @@ def test_a_wrong_prediction_does_not_squeeze_the_measurements():
         ("where: log 7", "scatter: {concretes: 3, from: 1 kPa/m, to: 2 kPa/m}", "needs a single measured value"),
         ("where: log 7", "scatter: {concretes: 3, of: 2}", "key of a scatter = 'of'"),
         ("cases:", "case:", "key of a file of cases = 'case'"),
+        (
+            "{diameter: 125 mm}",
+            "{diamter: 125 mm}",
+            "case test = 'diamter': is not an entry of a case of kind 'pipe'",
+        ),
+        ("{diameter: 125 mm}", "{}", "case test = 'yard': has no 'diameter'; add 'diameter: ...'"),
+        ("[20 m3/h, 40 m3/h]", "[20, 40]", "case flow = 20.0: is impossible"),
+        ("[1 kPa/m, 2 kPa/m]", "[]", "case measured = []: has no value"),
+        ("[20 m3/h, 40 m3/h]", "[]", "case flow: is missing in a case of kind 'pipe'"),
     ],
 )
 def test_files_of_cases_with_errors_are_refused_in_one_line(tmp_path, old, new, says):
@@ -253,9 +262,20 @@ def test_files_of_cases_with_errors_are_refused_in_one_line(tmp_path, old, new, 
 
 
 def test_a_refused_case_is_listed_with_its_reason(tmp_path):
-    text = PIPE.format(one=1, two=2).replace("test: {diameter: 125 mm}", "test: {length: 1 m}")
-    found = validate(read_cases(written(tmp_path, text)), quick=True)
-    assert found.comparisons == [] and "has no 'diameter'" in found.refused["yard"]
+    text = PIPE.format(one=1, two=2).replace("density: ", "densty: ")
+    path = written(tmp_path, text)
+    found = validate(read_cases(path), quick=True)
+    line = next(k for k, each in enumerate(text.splitlines(), 1) if "densty" in each)
+    assert found.comparisons == [] and found.refused["yard"].startswith(f"{path.name}, line {line}: mix key = 'densty'")
+
+
+@pytest.mark.parametrize("measured", [2, 0.5, -1])
+def test_a_concrete_blocked_or_did_not(tmp_path, measured):
+    text = "sources: {a: b}\ncases:\n- {id: a, kind: blocking, source: a, test: {bore: 125 mm}, measured: {}}\n"
+    with pytest.raises(
+        SceneError, match=r"line 3: case measured = .*: must be 1 if the concrete blocked, or 0 if it did not"
+    ):
+        read_cases(written(tmp_path, text.replace("{}", str(measured))))
 
 
 def test_rules_against_blocking_are_compared_with_what_blocked():

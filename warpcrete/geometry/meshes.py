@@ -107,9 +107,13 @@ def _stl_triangles(path: Path) -> int:
 
 def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:
     """Return the edges that belong to exactly one triangle, as pairs of corner indices, shape (n, 2)."""
-    edges = mesh.edges_sorted
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    return unique[count == 1]
+    edges, count = _edge_counts(mesh)
+    return edges[count == 1]
+
+
+def _edge_counts(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return all edges of a mesh as pairs of corner indices, shape (n, 2), and the number of triangles at each edge."""
+    return np.unique(mesh.edges_sorted, axis=0, return_counts=True)
 
 
 def load_closed(source, field: str) -> trimesh.Trimesh:
@@ -117,8 +121,13 @@ def load_closed(source, field: str) -> trimesh.Trimesh:
     mesh = load(source, field)
     name = source if isinstance(source, str | Path) else "mesh"
     if not mesh.is_watertight:
-        problem = f"is not closed: {len(border_edges(mesh))} of its edges belong to one triangle only"
+        count = _edge_counts(mesh)[1]
+        single, several = (count == 1).sum(), (count > 2).sum()
+        problem = f"is not closed: {single} of its edges belong to one triangle only"
         hint = "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes"
+        if single == 0:
+            problem = f"has {several} edges to which more than two triangles belong"
+            hint = "join bodies that touch each other to one body in a CAD program, or give one of them"
         refuse(field, str(name), problem, hint)
     if not mesh.is_winding_consistent:
         problem = "has triangles whose normals point inwards and others whose normals point outwards"

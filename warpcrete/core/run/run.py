@@ -30,7 +30,7 @@ from .folders import FolderLock, new_folder
 from .output import RunOutput, output_of
 from .quantities import Quantities, Result, conditions_of
 from .tables import Table, dataframe, dataset
-from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
+from .viewer import LOOPBACK, Viewer, has_screen, is_recording, screen_viewer, web_viewer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -295,7 +295,10 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
         raise RunFolderError(f"'{run}': {missing_recording(run)}")
     # The recording of an unfinished run has several files, which the viewer shows as one recording.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
-    return (web_viewer if web or not has_screen() else screen_viewer)([recording, *parts], bind)
+    found = [path for path in (recording, *parts) if is_recording(path)]
+    if not found:
+        raise RunFolderError(f"'{recording}': is empty or damaged, so it is not a recording (.rrd); repeat the run")
+    return (web_viewer if web or not has_screen() else screen_viewer)(found, bind)
 
 
 def _column_title(column: str) -> str:

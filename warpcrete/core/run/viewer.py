@@ -21,6 +21,8 @@ WEB_PORT, DATA_PORT = 9090, 9876
 """Preferred network ports of the viewer: for its web page, and for the recording's data.
 
 Other ports are used if these ports are occupied."""
+MAGIC = b"RRF"
+"""First bytes of Rerun's recordings."""
 START_TIMEOUT = 20.0
 """Longest time to wait until a server accepts connections [s]."""
 
@@ -62,6 +64,12 @@ class Viewer:
                 )
             time.sleep(0.05)
         return process
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a file begins like a recording of Rerun, which an empty or damaged file does not."""
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
 
 
 def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import SceneError, one_of, positive, refuse
+from ...core.errors import SceneError, known_names, one_of, positive, refuse
 from ...core.inputs.amounts import amount
+from ...core.inputs.limits import check_limit
 from ...core.inputs.text_files import errors_in_file, errors_located_at, read_mapping
-from .kinds import BLOCKING, UNITS
+from .kinds import BLOCKING, TESTS, UNITS
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
@@ -154,15 +155,16 @@ def _case(given: object, sources: Mapping[str, object], lines: Mapping[str, obje
     basis = given.get("basis", BASES[0])
     one_of("case basis", basis, BASES)
     unit = UNITS[given["kind"]]
-    flows = tuple(amount("case flow", x, "m3/s") for x in _listed(given.get("flow", [])))
-    measured = tuple(amount("case measured", x, unit) for x in _listed(given["measured"]))
+    with errors_located_at(given, "flow"):
+        flows = tuple(amount("case flow", x, "m3/s") for x in _listed(given.get("flow", [])))
+        for flow in flows:
+            check_limit("case flow", flow, "m3/s", "flow")
+    with errors_located_at(given, "measured"):
+        measured = _measured(given["measured"], given["kind"], unit)
     if given["kind"] in BY_FLOW and not flows:
         raise SceneError(
             f"case flow: is missing in a case of kind {given['kind']!r}; add it, for example 'flow: 30 m3/h'"
         )
-    if given["kind"] != BLOCKING:
-        for value in measured:
-            positive("case measured", value, unit)
     if flows and len(flows) != len(measured):
         problem = f"must have one value for each of the {len(flows)} flows"
         refuse("case measured", f"{len(measured)} values", problem, "list the values in the order of the flows")
@@ -178,7 +180,7 @@ def _case(given: object, sources: Mapping[str, object], lines: Mapping[str, obje
         group=str(given.get("group", given["id"])),
         source=f"{sources[given['source']]}{', ' + where if where else ''}",
         mix=_mapping(given, "mix"),
-        test=_mapping(given, "test"),
+        test=_test(_mapping(given, "test"), given["kind"], str(given["id"])),
         flows=flows,
         measured=measured,
         concretes=concretes,
@@ -210,6 +212,32 @@ def _scatter(given: Mapping[str, object], unit: str) -> tuple[int, tuple[float, 
         problem = "must reach from a positive value to a larger one"
         refuse("case scatter", dict(given), problem, "write the smallest value under 'from'")
     return concretes, (low, high)
+
+
+def _measured(given: object, kind: str, unit: str) -> tuple[float, ...]:
+    """Return the measured values of a case in `unit` after checking them."""
+    found = tuple(amount("case measured", each, unit) for each in _listed(given))
+    if not found:
+        refuse("case measured", given, "has no value", "write the measured value with its unit")
+    for value in found:
+        if kind != BLOCKING:
+            positive("case measured", value, unit)
+        elif value not in (0.0, 1.0):
+            refuse("case measured", value, "must be 1 if the concrete blocked, or 0 if it did not")
+    return found
+
+
+def _test(given: Mapping[str, Any], kind: str, name: str) -> Mapping[str, Any]:
+    """Return the section `test` of the case `name` after checking that it has exactly the entries that `kind` needs."""
+    for key in given:
+        with errors_located_at(given, key):
+            if key not in TESTS[kind]:
+                needed = known_names(key, TESTS[kind]) if TESTS[kind] else "leave it out"
+                refuse("case test", key, f"is not an entry of a case of kind {kind!r}", needed)
+    for key in TESTS[kind]:
+        if key not in given:
+            refuse("case test", name, f"has no {key!r}", f"add '{key}: ...'")
+    return given
 
 
 def _mapping(given: Mapping[str, object], key: str) -> Mapping[str, Any]:

@@ -9,15 +9,17 @@ class Kind:
 
     label: str
     unit: str
+    test: tuple[str, ...] = ()
+    """Entries of a case's section `test`, all of which the prediction needs."""
 
 
 KINDS = {
-    "pipe": Kind("friction of straight pipe", "Pa/m"),
-    "ratio": Kind("friction relative to another concrete", "1"),
-    "line": Kind("friction of a whole line", "Pa"),
-    "fitting": Kind("friction of a bend relative to straight pipe", "1"),
-    "layer": Kind("wall stress of the slip layer", "Pa"),
-    "profile": Kind("share of the layer in the velocity", "1"),
+    "pipe": Kind("friction of straight pipe", "Pa/m", ("diameter",)),
+    "ratio": Kind("friction relative to another concrete", "1", ("diameter", "reference")),
+    "line": Kind("friction of a whole line", "Pa", ("line",)),
+    "fitting": Kind("friction of a bend relative to straight pipe", "1", ("diameter", "part")),
+    "layer": Kind("wall stress of the slip layer", "Pa", ("speed",)),
+    "profile": Kind("share of the layer in the velocity", "1", ("diameter",)),
     "slump": Kind("slump", "m"),
     "spread": Kind("spread", "m"),
     "funnel": Kind("time of the V-funnel", "s"),
@@ -26,5 +28,7 @@ KINDS = {
 kind."""
 BLOCKING = "blocking"
 """Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
+TESTS = {name: kind.test for name, kind in KINDS.items()} | {BLOCKING: ("bore",)}
+"""Entries of the section `test` of a case, by its kind."""
 UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}
 """SI unit of the measured values for each kind of case."""

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
-from ...core.errors import one_of, refuse
+from ...core.errors import one_of
 from ...core.inputs.amounts import amount
+from ...core.inputs.yaml_files import merged
 from ...geometry.pipe_line import PipeLine
 from ...mix.mix import Mix, mix_of
 from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN, READ_SPREAD
@@ -29,7 +29,7 @@ def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
 
     If the publication states no density, the density is assumed to be 2400 kg/m3.
     """
-    given = dict(section or case.mix)
+    given = merged(section or case.mix)
     if "density" not in given and "parts" not in given:
         given["density"] = LINE_DENSITY
     return mix_of(given, case.folder, case.name)
@@ -37,19 +37,12 @@ def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
 
 def _number(case: Case, key: str, unit: str) -> float:
     """Return the number under `key` in the section `test` of a validation case, converted to `unit`."""
-    return amount(f"case test: {key}", _entry(case, key), unit)
-
-
-def _entry(case: Case, key: str) -> Any:
-    """Return the value of an entry in a case's section `test`; raise :class:`SceneError` if the entry is missing."""
-    if key not in case.test:
-        refuse("case test", case.name, f"has no {key!r}", f"add '{key}: ...'")
-    return case.test[key]
+    return amount(f"case test: {key}", case.test[key], unit)
 
 
 def _line_of(case: Case) -> PipeLine:
     """Return the pump line of a case."""
-    name = str(_entry(case, "line"))
+    name = str(case.test["line"])
     one_of("case test: line", name, case.lines)
     return line_of(case.lines[name], case.name, case.folder)
 
@@ -76,7 +69,7 @@ def _pipe(case: Case) -> list[Band]:
 def _ratio(case: Case) -> list[Band]:
     """Predict the friction of one concrete divided by the friction of another, in one pipe at one flow."""
     diameter = _number(case, "diameter", "m")
-    mix, other = mix_of_case(case), mix_of_case(case, _entry(case, "reference"))
+    mix, other = mix_of_case(case), mix_of_case(case, case.test["reference"])
     found = []
     for q in case.flows:
         over, under = (_banded(each, lambda c, q=q: _gradient(c, diameter, q)) for each in (mix, other))
@@ -102,7 +95,7 @@ def _line(case: Case) -> list[Band]:
 
 def _fitting(case: Case) -> list[Band]:
     """Predict the friction of a part, divided by the friction of straight pipe of the same length."""
-    line = line_of({"diameter": _entry(case, "diameter"), "parts": [_entry(case, "part")]}, case.name, case.folder)
+    line = line_of({"diameter": case.test["diameter"], "parts": [case.test["part"]]}, case.name, case.folder)
     found = []
     for q in case.flows:
         (loss,) = run_line(line, mix_of_case(case).concrete, q, simulate=False).losses
