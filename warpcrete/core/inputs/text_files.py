@@ -48,7 +48,7 @@ def errors_located_at(container: Any, key: Any) -> Generator[None]:
         raise located from error
 
 
-def _place_of(container: object, key: object) -> str:
+def _place_of(container: Any, key: Any) -> str:
     """Return the file name and, if known, the line number of an entry; empty if the file or the key is unknown."""
     files, lines = getattr(container, "files", {}), getattr(container, "lines", None)
     known = key in lines if isinstance(lines, dict) else lines is not None and 0 <= key < len(lines)
