@@ -74,7 +74,7 @@ class Ring:
         return MeshWall(name="bars", vertices=vertices, faces=faces, material="mould")
 
 
-suspension = {"aggregate_fraction": 0.2, "spacing": 0.005, "precision": "float64"}
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
 """Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 

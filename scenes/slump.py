@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -39,7 +38,7 @@ fail the check.
 """
 
 
-suspension = {"aggregate_fraction": 0.2, "precision": "float64"}
+suspension = {"aggregate_fraction": 0.2}
 """Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
@@ -129,10 +128,6 @@ def _check_aggregates(given: SlumpParameters) -> None:
     """Raise :class:`SceneError` for aggregates that cannot be simulated in a mould."""
     top = given.top_diameter / 2
     given.check_largest(MAX_PART * top, f"a quarter of the cone is simulated, and its top is only {top:g} m wide")
-    if given.lift_time and given.precision == "float32":
-        refuse("precision", given.precision, "is too low for aggregates in a mould: mortar in a mould hardly deforms, "
-               "so the solve does not converge in single precision",
-               "use 'precision' float64, or 'lift_time' = 0")  # fmt: skip
 
 
 def _room(top: float, base: float, height: float, yield_stress: float, density: float, gravity: float) -> float:
