@@ -244,7 +244,7 @@ class SuspensionFlow(GridFlow):
     def outcomes(self) -> dict[str, dict[str, float]]:
         """Return the numbers of iterations of the viscous and coupled solves in the last step, and the relative error.
 
-        The relative error is the final residual of the coupled solve, divided by the flow's momentum.
+        The relative error is the final residual of the coupled solve, relative to the flow's momentum or to its change.
         """
         coupled = self.coupled
         return {

@@ -64,8 +64,8 @@ check also makes the host wait for the GPU. The page `notebooks/development/note
 with other values.
 
 A mortar with a yield stress needs more exact viscous solves, because its viscosity differs by a factor of up to 1000
-from cell to cell. With VISCOUS, the first step of a slump test with 98 aggregates needed 59 iterations of the coupled
-solve on a CPU, instead of 15, and did not converge on a GPU.
+from cell to cell. With VISCOUS, the first ten steps of a slump test needed 147 iterations of the coupled solve instead
+of 106.
 """
 
 
