@@ -42,8 +42,7 @@ PASSES, CANCELLED = 2, 0.1
 """Number of times that a search direction is made orthogonal to earlier ones at most, and limit for a repetition.
 
 The work is repeated if it has reduced the norm of the direction's effect to less than the fraction CANCELLED. Without
-a repetition, the residual of a slump test in single precision stopped falling at 3e-3, because the effects of its 20
-search directions were no longer orthogonal."""
+this, the residual of a slump test in single precision stopped falling at 3e-3."""
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. A solve that finds new contacts is repeated with these contacts."""
 ROUGH_ERROR, CERTAIN = 3e-2, 0.9
@@ -60,8 +59,7 @@ VISCOUS, VISCOUS_WITH_YIELD, CHECKED = 0.5, 0.25, 7
 A viscous solve stops when the norm of its residual has fallen to the fraction VISCOUS of the norm at its start, or to
 the fraction VISCOUS_WITH_YIELD if the mortar has a yield stress. This is checked after every CHECKED iterations only,
 so a solve makes at least CHECKED iterations: with fewer, the coupled solve would need more iterations than they save. A
-check also makes the host wait for the GPU. The page `notebooks/development/notes-suspension.md` gives times of steps
-with other values.
+check also makes the host wait for the GPU. `notebooks/development/notes-suspension.md` gives times with other values.
 
 A mortar with a yield stress needs more exact viscous solves, because its viscosity differs by a factor of up to 1000
 from cell to cell. With VISCOUS, the first ten steps of a slump test needed 147 iterations of the coupled solve instead
@@ -79,9 +77,8 @@ class Tolerances:
     """Second condition at which the coupled solve stops: norm of the residual, divided by the norm at the start of the
     step.
 
-    The residual at the start of a step is the force that changes the momentum in this step. In a very short step, the
-    change is much smaller than the momentum itself, so the first condition alone would allow a solution that lacks a
-    large part of it. Successive steps would repeat this error."""
+    The residual at the start of a step is the force that changes the momentum. In a very short step, the change is much
+    smaller than the momentum, so the first condition alone would accept a solution that lacks a large part of it."""
     pressure: float = 0.9
     """Residual norm at which a pressure solve of the preconditioner stops, divided by the norm at its start.
 
