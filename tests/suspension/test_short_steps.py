@@ -21,7 +21,7 @@ def standing_cone(device, precision):
 def test_short_steps_keep_the_impulse_of_the_weight(device):
     flow = standing_cone(device, "float32")
     balances = [step_with_balance(flow) for _ in range(14)]
-    # From the seventh step on, the cone falls, and steps last 0.02 to 0.05 ms. Measured: 0.16 to 1.2 %. If a solve
+    # The cone falls in the seventh and later steps, which last 0.02 to 0.05 ms. Measured: 0.16 to 1.2 %. If a solve
     # stopped at a fraction of the momentum alone, up to 22 % of the impulse would be missing.
     for balance in balances[6:]:
         assert balance.impulse < -19
