@@ -2,12 +2,15 @@
 
 import itertools
 
+import h5py
 import numpy as np
 import pytest
 
 import warpcrete
 from warpcrete import scenes
 from warpcrete.core.inputs.limits import PlausibilityWarning
+from warpcrete.record.paraview import ParaViewRecorder
+from warpcrete.record.usd import UsdRecorder
 from warpcrete.suspension.flow import SuspensionStep
 from warpcrete.suspension.scene import SuspensionScene
 
@@ -131,6 +134,33 @@ def test_aggregates_are_drawn_beside_the_surface_of_the_concrete(device):
     assert len(np.unique(simulation.display().surface_colours(surface)[stones], axis=0)) == 1
     half = simulation.display().surface(cut=True)
     assert len(half.vertices) < len(surface.vertices)
+
+
+def test_recordings_hold_the_mortar_and_the_stones_apart(tmp_path):
+    from pxr import Usd, UsdGeom
+
+    simulation = warpcrete.Simulation(box(aggregate_fraction=0.1), device="cpu")
+    simulation.begin()
+    spheres, bare = simulation.display().spheres(), simulation.display().bare_surface()
+    bodies = simulation.flow.aggregates
+    assert np.array_equal(spheres.bodies, np.tile(np.arange(bodies.count), 2))
+    assert spheres.centres[: bodies.count] == pytest.approx(bodies.bodies.centre.numpy(), abs=1e-7)
+    assert spheres.centres[bodies.count :] == pytest.approx(spheres.centres[: bodies.count] * [1, -1, 1])
+    for recorder in (UsdRecorder(tmp_path / "scene.usdc"), ParaViewRecorder(tmp_path)):
+        recorder.start(simulation)
+        recorder.frame(simulation)
+        recorder.finish(simulation, None)
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usdc"))
+    stones, end = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates")), stage.GetEndTimeCode()
+    assert np.array(stones.GetPositionsAttr().Get(end)) == pytest.approx(spheres.centres, abs=1e-6)
+    assert np.array(stones.GetScalesAttr().Get(end))[:, 0] == pytest.approx(2 * spheres.radii, rel=1e-6)
+    mortar = UsdGeom.Mesh(stage.GetPrimAtPath("/Run/Concrete"))
+    assert len(mortar.GetPointsAttr().Get(end)) == len(bare.vertices)
+    with h5py.File(tmp_path / "aggregates.vtkhdf") as file:
+        assert file["VTKHDF/Points"][:] == pytest.approx(spheres.centres, abs=1e-6)
+        assert file["VTKHDF/PointData/radius"][:] == pytest.approx(spheres.radii, rel=1e-6)
+    with h5py.File(tmp_path / "surface.vtkhdf") as file:
+        assert len(file["VTKHDF/Points"]) == len(bare.vertices)
 
 
 OF_AGGREGATES = [

@@ -27,7 +27,11 @@ def test_the_parts_of_aggregates_and_mortar_that_remain_are_told(monkeypatch):
         result={"aggregates": {"fraction": 0.2}},
     )
     words = "50.0 % of their volume remains, and 68.8 % of the mortar"
-    assert list(quantities.report_aggregates(run)) == [("first", "line"), ("aggregates", words)]
+    assert list(quantities.report_aggregates(run)) == [("first", "line"), ("aggregates left", words)]
+    run.result["aggregates"] |= {"count": 4, "count_whole": 16}
+    words = "16, 20 % of the volume; 4 of them are simulated, the others are mirror images"
+    assert list(quantities.report_aggregates(run))[1] == ("aggregates in all", words)
+    run.result["aggregates"] = {"fraction": 0.2}
     run.series.pop("aggregates_inside")
     assert list(quantities.report_aggregates(run)) == [("first", "line")]
 

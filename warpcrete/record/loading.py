@@ -23,7 +23,7 @@ from ..scenes import modules
 
 TABLES = ("stations",)
 """Names, without suffix, of further table files that a run folder may hold in addition to series.csv."""
-DRAWN = ("scene.usdc", "bodies.vtkhdf", "run.rrd")
+DRAWN = ("scene.usdc", "aggregates.vtkhdf", "bodies.vtkhdf", "run.rrd")
 """Names of the files of a run folder that may hold positions of bodies over time."""
 
 
@@ -36,7 +36,7 @@ class LoadedRun(Run):
         return super().save(folder)
 
     def __getattr__(self, name: str) -> NoReturn:
-        if name != "bodies" or self.result.get("method") != "dem":
+        if name != "bodies" or self.result.get("method") not in ("dem", "suspension"):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         files = [str(path) for path in map(Path(self.folder or "").joinpath, DRAWN) if path.is_file()]
         there = (

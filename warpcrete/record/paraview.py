@@ -28,12 +28,13 @@ VERSION = (2, 0)
 class ParaViewRecorder(Recorder):
     """Recorder of bodies, walls, contacts between bodies and the surface of concrete as VTKHDF files in `folder`.
 
-    The files are `bodies.vtkhdf`, `walls.vtkhdf`, `contacts.vtkhdf` if bodies touch each other, and `surface.vtkhdf`
-    for the concrete of flows on a grid. Bodies are points with `radius`, `colour` and the fields of the display; a
-    clump appears as its spheres. To show bodies as spheres in ParaView, use the filter Glyph (type Sphere, scaled by
-    `radius`) or the representation Point Gaussian. The surface has normals, `colour` and fields. Frames are kept in
-    memory until a checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so that no
-    file is ever incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
+    The files are `bodies.vtkhdf`, `walls.vtkhdf`, `contacts.vtkhdf` if bodies touch each other, `surface.vtkhdf` for
+    the concrete of flows on a grid, and `aggregates.vtkhdf` for the stones in a mortar. Bodies are points with
+    `radius`, `colour` and the fields of the display; a clump appears as its spheres. To show bodies as spheres in
+    ParaView, use the filter Glyph (type Sphere, scaled by `radius`) or the representation Point Gaussian. The surface
+    has normals, `colour` and fields. Frames are kept in memory until a checkpoint. Then they are appended to a copy of
+    each file, and the copy replaces the file, so that no file is ever incomplete. Raises :class:`WarpcreteError` if
+    h5py is not installed.
     """
 
     expendable = True
@@ -59,6 +60,8 @@ class ParaViewRecorder(Recorder):
             self._files["walls"] = Poly(self.folder / "walls.vtkhdf", "Polygons")
         if self._display.has_surface:
             self._files["surface"] = Poly(self.folder / "surface.vtkhdf", "Polygons")
+        if self._display.has_spheres:
+            self._files["aggregates"] = Poly(self.folder / "aggregates.vtkhdf", "Vertices")
         if self._display.has_network:
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
@@ -97,7 +100,9 @@ class ParaViewRecorder(Recorder):
         self._files["bodies"].add(time, centres, cells, fields)
         if self._walls:
             self._draw_walls(time)
-        if (surface := display.surface()) is not None:
+        if display.has_spheres:
+            self._draw_spheres(time)
+        if (surface := display.bare_surface()) is not None:
             fields = {name: values.astype(np.float32) for name, values in surface.fields.items()}
             fields |= {"Normals": surface.normals.astype(np.float32), "colour": display.surface_colours(surface)}
             self._files["surface"].add(time, surface.vertices, surface.faces, fields)
@@ -112,6 +117,13 @@ class ParaViewRecorder(Recorder):
                 fields["hydrated"] = (sets == "hydrated bonds").astype("u1")
             self._files["contacts"].add(time, ends.reshape(-1, 3), pairs, fields)
         self._frames += 1
+
+    def _draw_spheres(self, time: float) -> None:
+        spheres = self._display.spheres()
+        count = len(spheres.radii)
+        fields = {"radius": spheres.radii.astype(np.float32), "speed": spheres.speeds.astype(np.float32)}
+        fields |= {"body": spheres.bodies, "colour": np.tile(np.array(spheres.colour, np.uint8), (count, 1))}
+        self._files["aggregates"].add(time, spheres.centres, np.arange(count)[:, None], fields)
 
     def _draw_walls(self, time: float) -> None:
         points, faces, of = [], [], []

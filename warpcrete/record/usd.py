@@ -1,7 +1,8 @@
 """Recorder of a USD scene: bodies with time samples, walls, materials, light and a camera.
 
 All rigid bodies are one point instancer with a prototype for each shape. The concrete of a flow on a grid is a mesh of
-its surface, and the particles of flows with moving particles are points.
+its surface, the stones in it are a point instancer of spheres, and the particles of flows with moving particles are
+points.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -20,7 +21,7 @@ from ..core.run.files import atomic_file, cannot_write
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
 from ..core.run.simulation_base import SimulationBase
-from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
+from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, linear, wall_look
 
 FRAMES_PER_SECOND = 1000  # One USD time code stands for one millisecond of simulated time.
 
@@ -38,6 +39,7 @@ class UsdRecorder(Recorder):
         self.path, self.colouring, self.velocities = path, colouring, velocities
         self._stage: Any = None
         self._bodies: Any = None
+        self._spheres: _Spheres | None = None
         self._first: float | None = None
         self._last: float | None = None
 
@@ -90,6 +92,7 @@ class UsdRecorder(Recorder):
         path = f"/Run/{display.noun.capitalize()}"
         if display.has_surface:
             self._bodies = _Surface(stage, path)
+            self._spheres = _Spheres(stage, "/Run/Aggregates") if display.has_spheres else None
         elif rigid is None:
             self._bodies = _Points(stage, path, display)
         else:
@@ -153,6 +156,8 @@ class UsdRecorder(Recorder):
         self._first = code.GetValue() if self._first is None else self._first
         self._last = code.GetValue()
         self._bodies.frame(self._display, code)
+        if self._spheres is not None:
+            self._spheres.frame(self._display, code)
         for number in self._moving:
             self._pose(number, code)
         paint = self._display.paint()
@@ -257,6 +262,34 @@ class _Instances:
         self._colours.set(display.body_colours(), code)
 
 
+class _Spheres:
+    """USD point instancer that shows spheres in a concrete, whose number may change from frame to frame."""
+
+    def __init__(self, stage: Any, path: str) -> None:
+        from pxr import Gf, UsdGeom
+
+        self._instancer = UsdGeom.PointInstancer.Define(stage, path)
+        ball = UsdGeom.Sphere.Define(stage, f"{path}/Prototypes/Sphere")
+        ball.CreateRadiusAttr(0.5)
+        ball.CreateExtentAttr([Gf.Vec3f(-0.5), Gf.Vec3f(0.5)])
+        bind(ball.GetPrim(), bodies_look(stage))
+        self._colour = ball.CreateDisplayColorAttr()
+        self._instancer.CreatePrototypesRel().SetTargets([ball.GetPath()])
+
+    def frame(self, display: Display, code: object) -> None:
+        from pxr import Vt
+
+        spheres, instancer = display.spheres(), self._instancer
+        position, radius = spheres.centres.astype(np.float32), spheres.radii.astype(np.float32)
+        size = np.repeat(2 * radius[:, None], 3, 1)
+        self._colour.Set(Vt.Vec3fArray.FromNumpy(linear(np.array([spheres.colour]))))
+        instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
+        instancer.CreateScalesAttr().Set(Vt.Vec3fArray.FromNumpy(size), code)
+        instancer.CreateProtoIndicesAttr().Set(Vt.IntArray.FromNumpy(np.zeros(len(radius), np.int32)), code)
+        if len(position):
+            instancer.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(_extent(position, radius)), code)
+
+
 class _Surface:
     """USD mesh that shows the surface of concrete, with its own vertices and faces in every frame."""
 
@@ -271,7 +304,7 @@ class _Surface:
     def frame(self, display: Display, code: object) -> None:
         from pxr import UsdGeom, Vt
 
-        mesh, surface = self._mesh, display.surface()
+        mesh, surface = self._mesh, display.bare_surface()
         assert surface is not None
         vertices = surface.vertices.astype(np.float32)
         mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(vertices), code)

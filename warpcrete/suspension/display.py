@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
+from ..core.drawing.display import DrawnSpheres
 from ..core.drawing.surfaces import Surface
 from ..mps.free.display import FreeDisplay
 from ..mps.grid.display import GridDisplay
@@ -19,9 +21,14 @@ DIVISIONS = 2
 class SphereDisplay(GridDisplay):
     """Display of a mortar on a grid whose aggregates are drawn as spheres."""
 
+    has_spheres: ClassVar = True
+    halved: ClassVar[bool] = False
+    """True if the mortar in front of the cutting plane is never drawn, so that the aggregates in it are visible."""
+
     def surface_colours(self, surface: Surface) -> np.ndarray:
         colours = super().surface_colours(surface)
-        colours[surface.fields["aggregate"] > 0] = STONE
+        if "aggregate" in surface.fields:
+            colours[surface.fields["aggregate"] > 0] = STONE
         return colours
 
     @cached_property
@@ -32,25 +39,40 @@ class SphereDisplay(GridDisplay):
         ball = trimesh.creation.icosphere(subdivisions=DIVISIONS)
         return np.asarray(ball.vertices, float), np.asarray(ball.faces)
 
-    def sphere_centres(self) -> np.ndarray:
-        """Return the centres of the spheres of all aggregates [m], shape (m, 3)."""
-        centres, bodies = self.read("aggregates.centre").astype(float), self.flow.aggregates
-        return bodies.parts.centres(centres, self.read("aggregates.turn").astype(float))
+    def images(self, centres: np.ndarray) -> list[np.ndarray]:
+        """Return the places [m] of points of the grid in the scene, and those of their mirror images.
 
-    def with_spheres(
-        self, concrete: Surface, centres: np.ndarray, numbers: np.ndarray, cut: float | None = None
-    ) -> Surface:
-        """Return a surface of the concrete with spheres at `centres` [m], shape (n, 3).
-
-        `numbers` are the indices of these spheres in the list of the spheres of all aggregates. With `cut`, only
-        spheres in or behind the plane at this coordinate y [m] are drawn.
+        The argument and the results have the shape (n, 3). The first result belongs to the simulated part.
         """
-        parts = self.flow.aggregates.parts
-        radii = parts.radius[numbers]
-        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)[parts.body[numbers]]
-        if cut is not None:
-            visible = centres[:, 1] + radii > cut
-            centres, radii, speeds = centres[visible], radii[visible], speeds[visible]
+        return [centres]
+
+    def spheres(self) -> DrawnSpheres:
+        """Return the spheres of all aggregates that are at least partly in the simulated box, with mirror images."""
+        bodies = self.flow.aggregates
+        centres = self.read("aggregates.centre").astype(float)
+        chosen = np.flatnonzero(is_inside(centres)[bodies.parts.body])
+        places = self.images(bodies.parts.centres(centres, self.read("aggregates.turn").astype(float))[chosen])
+        numbers = np.tile(bodies.parts.body[chosen], len(places))
+        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)
+        radii = np.tile(bodies.parts.radius[chosen], len(places))
+        return DrawnSpheres(np.concatenate(places), radii, speeds[numbers], numbers, STONE)
+
+    def bare_surface(self) -> Surface:
+        """Return the surface of the mortar, without aggregates."""
+        return super().surface(self.halved)
+
+    def surface(self, cut: bool = False) -> Surface:
+        """Return the surfaces of mortar and aggregates; with `cut`, only the part behind the cutting plane."""
+        mortar = super().surface(cut or self.halved)
+        return self.derived(("with aggregates", cut), lambda: self._with_spheres(mortar, cut))
+
+    def _with_spheres(self, concrete: Surface, cut: bool) -> Surface:
+        """Return a surface of the concrete with its spheres; with `cut`, only those in or behind the cutting plane."""
+        spheres = self.spheres()
+        centres, radii, speeds = spheres.centres, spheres.radii, spheres.speeds
+        if cut and self.cut is not None:
+            seen = centres[:, 1] + radii > self.cut
+            centres, radii, speeds = centres[seen], radii[seen], speeds[seen]
         points, faces = self._sphere
         count, each = len(radii), len(points)
         vertices = (centres[:, None] + radii[:, None, None] * points).reshape(-1, 3)
@@ -86,16 +108,5 @@ class SuspensionDisplay(SphereDisplay, FreeDisplay):
         scene = self.simulation.scene
         return 0.5 * float(scene.extent[1, 0] if scene.round else scene.depth)
 
-    def surface(self, cut: bool = False) -> Surface:
-        """Return the surfaces of concrete and aggregates; with `cut`, only the part behind the cutting plane."""
-        concrete = super().surface(cut)
-        return self.derived(("with aggregates", cut), lambda: self._with_spheres(concrete, cut))
-
-    def _with_spheres(self, concrete: Surface, cut: bool) -> Surface:
-        inside = is_inside(self.read("aggregates.centre").astype(float))
-        inside = inside[self.flow.aggregates.parts.body]
-        copies = self._mirrored
-        centres = np.concatenate([self.sphere_centres()[inside] * [a, b, 1.0] for a, b in copies])
-        return self.with_spheres(
-            concrete, centres, np.tile(np.flatnonzero(inside), len(copies)), self.cut if cut else None
-        )
+    def images(self, centres: np.ndarray) -> list[np.ndarray]:
+        return [centres * [a, b, 1.0] for a, b in self._mirrored]

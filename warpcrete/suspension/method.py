@@ -7,6 +7,7 @@ from ..mps.free.forecast import forecast
 from ..mps.free.method import METHOD as FREE_FLOWS
 from ..mps.free.quantities import quantities
 from .display import SuspensionDisplay
+from .pictures import plot_with_aggregates
 from .quantities import QUANTITIES, in_words, report_aggregates
 from .simulation import SuspensionSimulation
 
@@ -16,6 +17,7 @@ METHOD = replace(
     simulation=SuspensionSimulation,
     list_quantities=lambda: (*quantities(), *QUANTITIES),
     display=SuspensionDisplay,
+    show=plot_with_aggregates,
     report=report_aggregates,
     forecast=partial(
         forecast,

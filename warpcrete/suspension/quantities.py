@@ -60,8 +60,12 @@ def in_words(bodies: BodyState, scene: SphereFields) -> str:
 
 
 def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield a report line on the fraction of the aggregates that is simulated, if they have a sieve curve."""
+    """Yield report lines on the number of aggregates, and on the simulated fraction of those with a sieve curve."""
     entry = run.result.get("aggregates", {})
+    if "count_whole" in entry:
+        count, whole = entry["count"], entry["count_whole"]
+        mirrored = f"; {count} of them are simulated, the others are mirror images" if whole > count else ""
+        yield "aggregates in all", f"{whole}, {100 * entry['fraction']:.3g} % of the volume{mirrored}"
     if "stated_fraction" in entry:
         part = entry["fraction"] / entry["stated_fraction"]
         smallest = 1e3 * number(entry["smallest"])
@@ -79,4 +83,7 @@ def report_aggregates(run: Run) -> Iterator[tuple[str, str]]:
     if "aggregates_inside" in run.series:
         aggregates, fraction = float(run.series["aggregates_inside"][-1]), run.result["aggregates"]["fraction"]
         mortar = mortar_part(float(run.series["inside"][-1]), aggregates, fraction)
-        yield "aggregates", f"{100 * aggregates:.1f} % of their volume remains, and {100 * mortar:.1f} % of the mortar"
+        yield (
+            "aggregates left",
+            f"{100 * aggregates:.1f} % of their volume remains, and {100 * mortar:.1f} % of the mortar",
+        )

@@ -1,12 +1,18 @@
 """Base class for runs of mortar with aggregates, in vessels and in pipes."""
 
+from dataclasses import dataclass, field
+from typing import ClassVar
+
 import numpy as np
 
 from ..core.errors import InstabilityError
 from ..core.records import Record
+from ..core.run.run import Run
 from ..core.units import quantity
 from ..mps.common.run import FlowRun
+from .aggregates import is_inside
 from .balance import last_balance
+from .display import SphereDisplay
 from .flow import SuspensionFlow
 
 SOLVE_BYTES = 4 * (8 * 64 + 24)
@@ -23,11 +29,58 @@ UNITS = {"smallest_gap": "1", "coupled_error": "1"}
 """Units of the columns that describe aggregates in every run."""
 
 
+@dataclass(repr=False)
+class AggregateTable:
+    """Simulated aggregates on the host, in the order of their permanent numbers, without their mirror images."""
+
+    position: np.ndarray
+    """Centroids of the aggregates [m], shape (n, 3)."""
+    velocity: np.ndarray
+    """Velocities of the aggregates' centroids [m/s], shape (n, 3)."""
+    size: np.ndarray
+    """Size of each aggregate: the diameter of a sphere of equal volume [m], shape (n,)."""
+    inside: np.ndarray
+    """Mask of the aggregates that are at least partly in the simulated space, shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(self.size)
+
+    def __repr__(self) -> str:
+        return f"<AggregateTable of {len(self)} aggregates>"
+
+
+@dataclass(repr=False)
+class SuspensionRun(Run):
+    """Finished or interrupted run of a mortar with aggregates: series, results and final aggregates."""
+
+    bodies: AggregateTable = field(kw_only=True)
+    """Aggregates at the end of the run."""
+
+
 class AggregateRun(FlowRun):
     """Run of a mortar with aggregates, in a vessel or in a pipe."""
 
     flow: SuspensionFlow
     method = "suspension"
+    drawn_by: ClassVar[type[SphereDisplay]]
+
+    def result(self, finished: bool) -> SuspensionRun:
+        """Return the results of the run so far: its time series, quantities, tables and aggregates.
+
+        `finished` is stored in the results; it is False if the run was interrupted.
+        """
+        run, bodies, display = super().result(finished), self.flow.aggregates, self.drawn_by(self)
+        centre, velocity = (each.numpy().astype(float) for each in (bodies.bodies.centre, bodies.bodies.velocity))
+        origin = display.images(np.zeros((1, 3)))[0]
+        table = AggregateTable(
+            position=display.images(centre)[0],
+            velocity=display.images(velocity)[0] - origin,
+            size=2 * bodies.radius,
+            inside=is_inside(centre),
+        )
+        return SuspensionRun(
+            run.scene, run.series, run.units, run.result, run.finished, tables=run.tables, bodies=table
+        )
 
     def aggregate_columns(self) -> dict[str, float]:
         """Return two columns of the time series: the smallest gap of any sphere, and the error of the coupled solve.
@@ -62,22 +115,26 @@ class AggregateRun(FlowRun):
         """Return number and volume fraction of the aggregates and the balance of momentum, for the run's result.
 
         With a sieve curve, also return the stated fraction and the smallest simulated size. Smaller aggregates count as
-        mortar. The balance of momentum is that of the last time step, along the last axis of the grid. It is missing if
-        the coupled solve has not changed the flow since the program started. Its error is larger if aggregates enter at
-        a given speed.
+        mortar. If only a half or a quarter is simulated, `count` is the number in this part, and `count_whole` includes
+        the mirror images. Both numbers are also single quantities of the run. The balance of momentum is that of the
+        last time step, along the last axis of the grid. It is missing if the coupled solve has not changed the flow
+        since the program started. Its error is larger if aggregates enter at a given speed.
         """
-        entry = {"count": self.flow.aggregates.count, "fraction": self.fraction}
+        count = self.flow.aggregates.count
+        whole = count * self.drawn_by(self).copies
+        entry = {"count": count, "count_whole": whole, "fraction": self.fraction}
+        numbers = {"aggregate_count": count, "aggregate_count_whole": whole}
         if self.scene.sieve is not None:
             entry |= {
                 "stated_fraction": self.scene.aggregate_fraction,
                 "smallest": quantity(self.scene.diameters[0], "m"),
             }
         if self.flow.coupled.outer == 0:
-            return {"aggregates": entry}
+            return numbers | {"aggregates": entry}
         last = last_balance(self.flow)
         momentum = {
             "change": quantity(last.momentum, "N"),
             "forces": quantity(last.impulse, "N"),
             "error": last.momentum_error,
         }
-        return {"aggregates": entry, "momentum_balance": momentum}
+        return numbers | {"aggregates": entry, "momentum_balance": momentum}

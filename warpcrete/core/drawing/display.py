@@ -73,6 +73,22 @@ class Pose:
 
 
 @dataclass(frozen=True)
+class DrawnSpheres:
+    """Spheres that lie in a concrete with a surface, such as the stones in a mortar, with their mirror images."""
+
+    centres: np.ndarray
+    """Centres of the spheres [m], shape (n, 3)."""
+    radii: np.ndarray
+    """Radii of the spheres [m], shape (n,)."""
+    speeds: np.ndarray
+    """Speeds of the bodies to which the spheres belong [m/s], shape (n,)."""
+    bodies: np.ndarray
+    """Number of the body to which each sphere belongs, shape (n,). Mirror images have the number of the original."""
+    colour: tuple[int, int, int]
+    """Colour of the spheres: red, green and blue from 0 to 255."""
+
+
+@dataclass(frozen=True)
 class Curve:
     """Curve of a quantity over time, in a plot."""
 
@@ -143,6 +159,8 @@ class Display(ABC):
     """True if the display can draw lines between bodies, such as force chains."""
     has_surface: ClassVar[bool] = False
     """True if the surface of the concrete is drawn instead of bodies."""
+    has_spheres: ClassVar[bool] = False
+    """True if the concrete with this surface contains spheres, such as the stones in a mortar."""
 
     def __init__(self, simulation: DrawnSimulation, colouring: str | None = None) -> None:
         self.simulation = simulation
@@ -251,6 +269,14 @@ class Display(ABC):
         If the argument `cut` is true, leave out the concrete in front of the plane that the attribute `cut` describes.
         """
         return None
+
+    def bare_surface(self) -> Surface | None:
+        """Return the surface of the concrete without spheres; None if the bodies are drawn one by one."""
+        return self.surface()
+
+    def spheres(self) -> DrawnSpheres:
+        """Return the spheres in the concrete. Raises TypeError if the concrete contains none."""
+        raise TypeError(f"{type(self).__name__} does not draw spheres in a concrete")
 
     def surface_values(self, surface: Surface) -> np.ndarray:
         """Return the values of the quantity that colours a surface, at the surface's vertices, shape (v,).

@@ -11,7 +11,6 @@ import numpy as np
 from ...core.drawing.display import GLASS, Curve, DrawnWall, Plot, Points, Profile
 from ...core.drawing.paint import rounded_up
 from ...core.drawing.style import RUN, SECOND, THEORY
-from ...core.drawing.surfaces import Surface
 from ...geometry.axis import Axis, Line
 from ...mps.grid.display import HALF_CELL
 from ..display import SphereDisplay
@@ -31,6 +30,7 @@ class StretchDisplay(SphereDisplay):
     """
 
     colourings: ClassVar = ("speed", "shear", "pressure")
+    halved: ClassVar = True
 
     @property
     def _scene(self) -> StretchScene:
@@ -58,18 +58,6 @@ class StretchDisplay(SphereDisplay):
 
     def _cell_levels(self) -> np.ndarray:
         return self._gap
-
-    def surface(self, cut: bool = False) -> Surface:
-        """Return the surfaces of mortar and aggregates; with `cut`, only aggregates beyond the cutting plane.
-
-        Beyond means on the side that is away from the camera.
-        """
-        mortar = super().surface(True)
-        return self.derived(("with aggregates", cut), lambda: self._with_aggregates(mortar, cut))
-
-    def _with_aggregates(self, mortar: Surface, cut: bool) -> Surface:
-        centres = self.sphere_centres()
-        return self.with_spheres(mortar, centres, np.arange(len(centres)), self.cut if cut else None)
 
     def scale(self) -> tuple[str, float, float]:
         """Return label, lowest and highest value of the quantity that the colours show."""
