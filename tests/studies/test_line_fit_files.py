@@ -73,10 +73,10 @@ def test_the_written_concrete_and_factor_give_the_fitted_line(trial, sections):
     first, second = record(trial / "fit"), record(trial / "again")
     assert second["pressure"]["value"] == pytest.approx(first["pressure"]["value"], rel=1e-4)
     # The uncertainty in the file is that in another line: it holds at other flows, and contains the error that the
-    # unknown friction of the hose causes in the layer. The lower end of the band is 3.5 % lower, and the upper end
-    # 1.4 % higher.
-    assert 0.96 < second["pressure_low"]["value"] / first["pressure_low"]["value"] < 0.97
-    assert 1.01 < second["pressure_high"]["value"] / first["pressure_high"]["value"] < 1.02
+    # unknown friction of the hose causes in the layer. The lower end of the band is 4.2 % lower, and the upper end
+    # 2.2 % higher.
+    assert 0.955 < second["pressure_low"]["value"] / first["pressure_low"]["value"] < 0.97
+    assert 1.02 < second["pressure_high"]["value"] / first["pressure_high"]["value"] < 1.025
     mix = read_mix(trial / "fit" / "concrete.yaml")
     assert mix.name == "Own" and mix.source == f"slip layer fitted to {len(first['fit']['taps'])} pressures of site"
 
@@ -89,7 +89,8 @@ def test_the_written_files_hold_at_another_flow_of_a_longer_line(trial):
     bends = yaml.safe_load((trial / "fit" / "bends.yaml").read_text(encoding="utf-8"))
     site = {"diameter": "125 mm", "flow": "50 m3/h", "concrete": "fit/concrete.yaml", "parts": longer, **bends}
     (trial / "longer.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
-    assert "in about 95 % of cases" in run("line", trial / "longer.yaml", "--out", trial / "far")
+    said = run("line", trial / "longer.yaml", "--out", trial / "far")
+    assert "in about 95 % of cases" in said and "to decide between them" not in said
     line = line_of({"diameter": "125 mm", "parts": longer})
     factor = next(part.factor for part in KNOWN.parts if part.kind == "bend")
     line = replace(line, parts=tuple(replace(p, factor=factor) if p.kind == "bend" else p for p in line.parts))

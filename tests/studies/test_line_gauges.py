@@ -216,3 +216,18 @@ def test_gauges_outside_of_what_was_expected_are_a_surprise():
         if surprising:
             true, expected = (straight_friction(KNOWN.parts[0], each, 30 / 3600) for each in (TRUE, before))
             assert fit.surprise == pytest.approx(true / expected, rel=0.02)
+
+
+def test_the_report_names_gauges_beyond_their_error_and_repeated_readings_that_differ():
+    """A gauge that shows 0.5 bar too much, and one gauge with two readings at one flow, are named with their lines."""
+    points = [replace(tap, row=row) for row, tap in enumerate(taps(flows=(20, 35), parts=(0, 1, 3, 5)), 2)]
+    good = "\n".join(fit_lines(fit_line(KNOWN, TRUE, points, gauge=5e4), KNOWN))
+    assert "deviates from" not in good and "deviate from" not in good and "state different pressures" not in good
+    far = max(tap.place for tap in points)
+    wrong = [replace(tap, pressure=tap.pressure + 5e4) if tap.place == far else tap for tap in points]
+    assert f"most of all the gauge at {far:.4g} m, by -0." in "\n".join(
+        fit_lines(fit_line(KNOWN, TRUE, wrong, gauge=4e4), KNOWN)
+    )
+    twice = [*points, replace(points[0], pressure=points[0].pressure + 1e5, row=20)]
+    said = "\n".join(fit_lines(fit_line(KNOWN, TRUE, twice, gauge=5e4), KNOWN))
+    assert f"lines {points[0].row} and 20 of the file state different pressures for one gauge and one flow" in said

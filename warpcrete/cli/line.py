@@ -340,11 +340,13 @@ def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
         stresses, viscosities = given.mix.factors
         concrete = replace(given.concrete, slip_viscosity=viscosities * eta.value, slip_yield=stresses * tau.value)
         pressure = line_by_theory(line, concrete, given.flow).pressure
+        layer = given.mix.given.layer
+        measured = layer.pipe or layer.pipe_points is not None or layer.tribometer_points is not None
         texts += [
             "",
             f"another estimate of the slip layer, {concrete.slip_viscosity:.3g} Pa s/m from {eta.way}, would "
-            f"give {pressure / 1e5:.3g} bar{beside(line.customary, 'psi', pressure)}; measure the layer "
-            "to decide between them",
+            f"give {pressure / 1e5:.3g} bar{beside(line.customary, 'psi', pressure)}; "
+            f"{'the measured layer is used instead' if measured else 'measure the layer to decide between them'}",
         ]
     return texts
 

@@ -21,7 +21,7 @@ from .fit_flows import known_yields, with_later_use, with_yields
 from .fittings import MODEL_ERRORS
 from .line_fit import NO_YIELD, FittedConstant, LineFit
 from .losses import GRAVITY
-from .tap_model import TapModel, metre_model
+from .tap_model import TapModel, least_squares, metre_model
 from .taps import SAME_FLOW, Tap, at_one_flow, is_free
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
@@ -44,8 +44,6 @@ NO_FACTOR = "not determined by these points, so left out of the fit; each bend k
 NOTHING = {1: 1e-3, 2: FACTORS[0]}
 """Limits below which a fitted constant counts as indistinguishable from zero, by the index of the constant: 1 is the
 yield stress of the slip layer [Pa], and 2 is the factor of bends. A constant below its limit is left out of the fit."""
-ITERATIONS = 50
-"""Largest number of iterations of the least-squares fit."""
 GAUGE = 0.04
 """Default error limit of a gauge, divided by the largest measured pressure. The largest permissible error of a gauge of
 class 2.5 is 2.5 % of the end of its scale (EN 837-1), and this end is assumed at 1.6 times the largest pressure."""
@@ -75,7 +73,10 @@ def fit_line(
       there are only two pressures, because these do not distinguish it from the layer's viscosity. It also keeps its
       value if its error would exceed half the range of :func:`.known_yields`.
     - The factor of bends is not fitted if the points are too few, or if its band would be as wide as the band of
-      published measurements. Each bend then keeps its factor from the table of simulated bends.
+      published measurements, unless only this factor makes the gauges agree with each other. It is also not fitted if
+      the band of the layer is narrower without it, because the gauges hardly distinguish bends from the layer. Each
+      bend then keeps its factor from the table of simulated bends, and the band of the layer contains the effect of
+      published factors.
 
     `prior` describes the slip layer that was expected before the measurement: two concretes, whose layers are at the
     lower and at the upper end of the layer's uncertainty band. :func:`.with_known` combines it with the fit. If no slip
@@ -101,24 +102,33 @@ def fit_line(
     if gauge is None:
         gauge = GAUGE * max(tap.pressure for tap in taps)
     low, high = known_yields(concrete)
-    fit, widest = None, 0.5 * (high - low)
+    widest = 0.5 * (high - low)
+
+    def finished(factor: bool) -> LineFit:
+        fit = _fitted(line, concrete, taps, factor, gauge, widest)
+        if prior is not None:
+            fit = with_known(fit, line, concrete, prior)
+        fit = with_expected(with_gauges(fit, line, concrete), line, concrete, prior)
+        return with_later_use(with_yields(fit, line, concrete, yields), line, concrete)
+
+    by_table, with_bends = finished(False), None
     if any(is_free(part) for part in line.parts):
         # Errors of the gauges may lead to an impossible factor of bends, which raises an error. Ignore this error, and
-        # fit without this factor below.
+        # keep the fit without this factor.
         with suppress(SceneError):
-            fit = _fitted(line, concrete, taps, True, gauge, widest)
-    if fit is None or not _is_better_than_published(fit.constants[2]):
-        fit = _fitted(line, concrete, taps, False, gauge, widest)
-    if prior is not None:
-        fit = with_known(fit, line, concrete, prior)
-    fit = with_expected(with_gauges(fit, line, concrete), line, concrete, prior)
-    return with_later_use(with_yields(fit, line, concrete, yields), line, concrete)
+            with_bends = finished(True)
+    if with_bends is None or not with_bends.constants[2].fitted:
+        return by_table
+    resolves = by_table.contradiction is not None and with_bends.contradiction is None
+    if not resolves and not _is_better_than_published(with_bends.constants[2]):
+        return by_table
+    return min(by_table, with_bends, key=lambda fit: fit.width)
 
 
 def _is_better_than_published(factor: FittedConstant) -> bool:
     """Return whether the band of a fitted factor of bends is narrower than the band of published measurements."""
     published = MODEL_ERRORS["bend"]
-    return factor.fitted and factor.high - factor.low < published.high - published.low
+    return factor.high - factor.low < published.high - published.low
 
 
 def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> None:
@@ -165,7 +175,7 @@ def _fitted(
         error = _yield_error(model, measured, start, free, gauge)
         if error > widest:
             free.remove(1)
-    solution = _least_squares(model, measured, start, free)
+    solution = least_squares(model, measured, start, free)
     reasons = {2: NO_FACTOR}
     for place, value in ((2, 1.0), (1, 0.0), (2, 1.0)):
         if place in free and solution[place] < NOTHING[place]:
@@ -177,7 +187,7 @@ def _fitted(
                 model = TapModel(line, concrete, taps, bends=False)
             else:
                 reasons[1] = NO_YIELD
-            solution = _least_squares(model, measured, start, free)
+            solution = least_squares(model, measured, start, free)
     _check_result(solution, free, concrete)
     fitted = model.pressures(solution)
     slopes = model.sensitivities(solution, free)
@@ -249,7 +259,7 @@ def _yield_error(model: TapModel, measured: np.ndarray, start: np.ndarray, free:
     model at this fit. A fit of the yield stress itself could fail if the flows hardly differ. `gauge` is the error
     limit of a gauge [Pa].
     """
-    constants = _least_squares(model, measured, start, [place for place in free if place != 1])
+    constants = least_squares(model, measured, start, [place for place in free if place != 1])
     slopes = model.sensitivities(constants, free)
     off = model.pressures(constants) - measured
     off -= slopes @ np.linalg.lstsq(slopes, off, rcond=None)[0]
@@ -309,32 +319,3 @@ def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
                        f"is too high compared with line {near.row} of the file, whose tap is nearer to the pump: "
                        "between the two taps, the pressure must fall by the weight and the friction of the concrete",
                        "check the places of the gauges; they count from the pump")  # fmt: skip
-
-
-def _least_squares(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
-    """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps.
-
-    `measured` holds the measured pressures [Pa], `start` the initial values of all constants, and `free` the indices of
-    the constants that may change.
-    """
-    own, places = start.copy(), list(free)
-    off = model.pressures(own) - measured
-    for _ in range(ITERATIONS):
-        slopes = model.sensitivities(own, places)
-        step = np.linalg.lstsq(slopes, -off, rcond=None)[0]
-        size = 1.0
-        while size > 1e-6:
-            trial = own.copy()
-            trial[places] += size * step
-            if trial[0] > 0 and (trial[1] >= 0 or 1 not in places):
-                moved = model.pressures(trial) - measured
-                if moved @ moved <= off @ off:
-                    break
-            size /= 2
-        else:
-            break
-        change = np.abs(trial - own) / np.maximum(np.abs(own), 1.0)
-        own, off = trial, moved
-        if change.max() < 1e-9:
-            break
-    return own

@@ -17,7 +17,7 @@ from .fit_band import elasticity, layer_deviation
 from .fittings import range_of, uncertain_kinds
 from .line_fit import FittedConstant, LineFit
 from .losses import GRAVITY, straight_friction
-from .tap_model import TapModel
+from .tap_model import TapModel, least_squares, metre_model
 
 SHIPPED_YIELDS = (0.0, 251.0)
 """Range of the yield stress of a slip layer [Pa] if no mix states one. The upper end is the largest value among the
@@ -104,9 +104,19 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
     The bands of the layer's constants are widened by the second cause only.
     """
     eta, tau = (each.value for each in fit.constants[:2])
-    fittings = _deviation_by_fittings(fit, line, concrete)
-    alone = math.hypot(math.log1p(fit.uncertainty), fittings)
-    wide = alone
+    layers = _layers_by_fittings(fit, line, concrete)
+    pipe = metre_model(line, concrete, fit.taps)
+
+    def friction(*layer: float) -> float:
+        return float(pipe.pressures(np.array([*layer, 1.0]))[0])
+
+    fitted, power = friction(eta, tau), elasticity(friction, eta, tau)
+    offs = [[math.log(friction(*end) / fitted) for end in ends] for ends in layers]
+    sides = [math.hypot(*(max(0.0, *(sign * off for off in ends)) for ends in offs)) for sign in (-1, 1)]
+    fittings = layer_deviation(max(sides), power)
+    own = math.log1p(fit.uncertainty)
+    width = sum(math.hypot(own, layer_deviation(side, power)) for side in sides)
+    wide = math.hypot(own, fittings)
     for ratio in OTHER_FLOWS:
         there = _friction_behind_gauges(fit, line, concrete, ratio)
         # Convert deviations of the friction to deviations of the layer's resistance.
@@ -116,9 +126,11 @@ def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
             for pair in (fit.layer_ends, fit.yield_layers)
         ]
         wide = max(wide, math.hypot(*offs, fittings))
-    factor = math.exp(fittings)
-    layer = [_wider(each, each.value / factor, each.value * factor) for each in fit.constants[:2]]
-    return replace(fit, constants=(*layer, *fit.constants[2:]), later_uncertainty=math.expm1(wide))
+    layer = list(fit.constants[:2])
+    for ends in layers:
+        layer = [_wider(each, *(end[place] for end in ends)) for place, each in enumerate(layer)]
+    return replace(fit, constants=(*layer, *fit.constants[2:]), width=width,
+                   later_uncertainty=math.expm1(wide))  # fmt: skip
 
 
 def _wider(constant: FittedConstant, *values: float) -> FittedConstant:
@@ -133,32 +145,32 @@ def _wider(constant: FittedConstant, *values: float) -> FittedConstant:
     return replace(constant, low=low, high=own + math.hypot(constant.high - own, above))
 
 
-def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> float:
-    """Return the logarithm of the factor by which errors of the fittings may change the fitted layer.
+def _layers_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> list[list[tuple[float, float]]]:
+    """Return the slip layers that fit the gauges if the friction of the line's fittings differs from the assumed one.
 
-    If the true friction of a kind of fitting, such as bends, is larger than assumed, the true resistance of the slip
-    layer is smaller than fitted, because the gauges show the sum. The effect of a kind is the root mean square of the
-    effects of the lower and of the upper end of its friction. The effects of different kinds are combined as the square
-    root of the sum of their squares. Bends are left out if their factor was fitted, because the errors of the fit
-    already contain their effect.
+    Each kind of fitting, such as bends, gives two layers, as viscosity [Pa s/m] and yield stress [Pa]: one for the
+    lower and one for the upper end of the friction of this kind. If bends have more friction than assumed, the layer
+    has less, because the gauges show the sum. Both ends are needed, because the assumed friction of bends is close to
+    the lower end of its range. Bends are left out if their factor was fitted, because the errors of the fit already
+    contain their effect.
     """
-    eta, tau = (each.value for each in fit.constants[:2])
-    friction = _friction_behind_gauges(fit, line, concrete)
-    wanted, power = friction(eta, tau), elasticity(friction, eta, tau)
-    flow, deviation = float(np.mean([tap.flow for tap in fit.taps])), 0.0
+    flow, layers = float(np.mean([tap.flow for tap in fit.taps])), []
+    own = np.array([*(each.value for each in fit.constants[:2]), fit.bend_factor or 1.0])
+    free = [0, 1] if fit.constants[1].fitted else [0]
     for kind in uncertain_kinds(line.parts):
         if kind == "bend" and fit.bend_factor is not None:
             continue
-        squares = 0.0
+        ends = []
         for end in (0, 1):
             changed = [
                 _at_end(part, end, straight_friction(part, fit.concrete(concrete), flow)) if part.kind == kind else part
                 for part in line.parts
             ]
-            there = _friction_behind_gauges(fit, replace(line, parts=tuple(changed)), concrete)(eta, tau)
-            squares += 0.5 * math.log(wanted / there) ** 2
-        deviation = math.hypot(deviation, layer_deviation(math.sqrt(squares), power))
-    return deviation
+            model = TapModel(replace(line, parts=tuple(changed)), concrete, fit.taps, bends=fit.bend_factor is not None)
+            eta, tau, _ = least_squares(model, np.array(fit.pressures), own, free)
+            ends.append((float(eta), float(tau)))
+        layers.append(ends)
+    return layers
 
 
 def _at_end(part: Part, end: int, straight: float) -> Part:

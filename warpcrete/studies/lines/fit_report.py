@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ...core.inputs.customary import CUSTOMARY_SIZES, beside
+from ...core.inputs.customary import CUSTOMARY_SIZES, beside, both
 from ...geometry.pipe_line import PipeLine
 from ...mix.layer import PIPE_UNCERTAINTY
 from .fittings import MODEL_ERRORS
 from .line_fit import LineFit, Stretch
-from .taps import at_one_flow
+from .taps import Tap, at_one_flow
 
 NOTICED = 0.01
 """Smallest weight (from 0 to 1) of the slip layer expected before the fit at which the report states this weight."""
@@ -38,11 +38,12 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
         *([f"- {_open_yield(fit, line.customary)}"] if not fit.knows_yield else []),
         *([_surprise(fit.surprise)] if fit.surprise is not None else []),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar{beside(line.customary, 'psi', fit.scatter)} "
-        "about the fit; the largest deviation is "
+        "about the fit; the largest deviation (fitted minus measured) is "
         f"{off[worst] / 1e5:+.2g} bar{beside(line.customary, 'psi', off[worst])} of {measured[worst] / 1e5:.4g} bar"
         f"{beside(line.customary, 'psi', measured[worst])} "
         f"(line {fit.taps[worst].row})",
-        *([f"- {warning_of(fit, line.customary)}"] if fit.contradiction is not None else []),
+        *_repeats(fit, line.customary),
+        *([f"- {warning_of(fit, line.customary)}"] if fit.contradiction is not None else _beyond(fit, line.customary)),
         "",
         *_layer_entries(fit, factors, mix),
         "",
@@ -126,6 +127,48 @@ def _open_yield(fit: LineFit, customary: bool) -> str:
         f"{read} {unit}; at another flow the band is wider, because the pressures do not "
         f"determine the yield stress of the slip layer, which may be {low:.3g} to {high:.3g} Pa; {more}"
     )
+
+
+def _beyond(fit: LineFit, customary: bool) -> list[str]:
+    """Return a line of text on the gauges that deviate from the fit by more than their error limit, if there are any.
+
+    The deviation of a gauge is the mean over its readings, because all readings of a gauge have the same error.
+    """
+    at, off = np.array([tap.place for tap in fit.taps]), fit.deviations()
+    means = {float(place): float(off[at == place].mean()) for place in np.unique(at)}
+    far = [place for place in means if abs(means[place]) > fit.gauge > 0]
+    if not far:
+        return []
+    worst = max(far, key=lambda place: abs(means[place]))
+    cause = ""
+    if len(fit.constants) > 2 and fit.bend_factor is None:
+        cause = ", or bends have more or less friction than the table states"
+    return [
+        f"- {len(far)} of {len(means)} gauges {'deviates' if len(far) == 1 else 'deviate'} from the fit by more than "
+        f"the error limit, most of all the gauge at {both(customary, 'm', worst)}, by "
+        f"{means[worst] / 1e5:+.2g} bar{beside(customary, 'psi', means[worst])}: "
+        f"a gauge, its place or a flow is wrong{cause}"
+    ]
+
+
+def _repeats(fit: LineFit, customary: bool) -> list[str]:
+    """Return a line of text on repeated readings that contradict each other, if there are any.
+
+    Readings of one gauge at one flow have the same error of the gauge, so they should differ by less than its limit.
+    """
+    readings: dict[tuple[float, float], list[Tap]] = {}
+    for tap in fit.taps:
+        readings.setdefault((tap.place, tap.flow), []).append(tap)
+    spreads = {key: max(x.pressure for x in taps) - min(x.pressure for x in taps) for key, taps in readings.items()}
+    worst = max(spreads, key=lambda key: spreads[key])
+    if not spreads[worst] > fit.gauge > 0:
+        return []
+    rows = " and ".join(str(tap.row) for tap in readings[worst])
+    return [
+        f"- lines {rows} of the file state different pressures for one gauge and one flow, and the fit uses all of "
+        f"them; they differ by {spreads[worst] / 1e5:.2g} bar{beside(customary, 'psi', spreads[worst])}, more than the "
+        "error limit of a gauge: check them, and delete the wrong one"
+    ]
 
 
 def _surprise(ratio: float) -> str:

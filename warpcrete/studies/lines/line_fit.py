@@ -116,6 +116,9 @@ class LineFit:
     """Relative uncertainty of the slip layer's resistance if the layer is used in another line, at 0.5 to 2 times the
     measured flows: 0.3 means a resistance between 1 / 1.3 and 1.3 times the fitted one. It includes the error of the
     fitted layer that is due to the uncertain friction of the trial line's fittings."""
+    width: float = 0.0
+    """Logarithm of the ratio of the ends of the band of the slip layer's resistance, in another line at the measured
+    flows. The two sides of this band may differ, because the range of the friction of bends is not symmetrical."""
     expected: float = 1.0
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""
     laws: Mapping[str, float] = field(default_factory=dict)

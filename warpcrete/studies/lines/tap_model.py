@@ -1,4 +1,7 @@
-"""Pressures at the taps (places of gauges) of a line as functions of the constants that a fit determines."""
+"""Pressures at the taps (places of gauges) of a line as functions of the constants that a fit determines.
+
+The function :func:`least_squares` finds these constants.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,6 +13,9 @@ from ...theory.pipe import Concrete
 from .fittings import library_factor
 from .losses import GRAVITY, course_of, straight_friction
 from .taps import Tap, is_free
+
+ITERATIONS = 50
+"""Largest number of iterations of the least-squares fit."""
 
 
 class TapModel:
@@ -96,3 +102,32 @@ def metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> TapM
     main = max(losses, key=lambda diameter: losses[diameter])
     metre = replace(line, parts=(Part(1, "straight", main, 1.0, 0.0, main),))
     return TapModel(metre, concrete, [Tap(0.0, 1.0, flow, 0)])
+
+
+def least_squares(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
+    """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps.
+
+    `measured` holds the measured pressures [Pa], `start` the initial values of all constants, and `free` the indices of
+    the constants that may change.
+    """
+    own, places = start.copy(), list(free)
+    off = model.pressures(own) - measured
+    for _ in range(ITERATIONS):
+        slopes = model.sensitivities(own, places)
+        step = np.linalg.lstsq(slopes, -off, rcond=None)[0]
+        size = 1.0
+        while size > 1e-6:
+            trial = own.copy()
+            trial[places] += size * step
+            if trial[0] > 0 and (trial[1] >= 0 or 1 not in places):
+                moved = model.pressures(trial) - measured
+                if moved @ moved <= off @ off:
+                    break
+            size /= 2
+        else:
+            break
+        change = np.abs(trial - own) / np.maximum(np.abs(own), 1.0)
+        own, off = trial, moved
+        if change.max() < 1e-9:
+            break
+    return own
