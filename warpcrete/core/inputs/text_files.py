@@ -50,8 +50,8 @@ def errors_located_at(container: Any, key: Any) -> Generator[None]:
 
 def _place_of(container: Any, key: Any) -> str:
     """Return the file name and, if known, the line number of an entry; empty if the file or the key is unknown."""
-    files, lines = getattr(container, "files", {}), getattr(container, "lines", None)
-    known = key in lines if isinstance(lines, dict) else lines is not None and 0 <= key < len(lines)
+    files, lines = getattr(container, "files", {}), cast("Any", getattr(container, "lines", {}))
+    known = key in lines if isinstance(lines, dict) else 0 <= key < len(lines)
     if not known and key not in files:
         return ""
     path = files.get(key) or container.path
