@@ -81,6 +81,7 @@ def test_a_figure_of_a_study_has_the_wanted_axes_and_units(tmp_path):
         ),
         ((None, "flw"), "x = 'flw': must be one of flow, yield_stress"),
         ((None, "flow", "mm"), "unit = 'mm': must be one of m3/s, m3/h"),
+        (("pressure", "flow", "kPa"), "'unit' is the unit of the horizontal axis; 'y_unit' is that of the quantity"),
         ((None, None, "m3/h"), "unit = 'm3/h': needs 'x'"),
         (("pressure", "flow", None, "m"), "y_unit = 'm': must be one of Pa, bar"),
     ):

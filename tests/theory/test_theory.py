@@ -168,7 +168,7 @@ def test_command():
     shown = run("--flow", "0.0015", "--flow", "0.001")
     assert shown.output.splitlines()[1] == "pipe: 0.3 m long, 100 mm wide, upright"
     rows = [line.split() for line in shown.output.splitlines()[3:]]
-    assert [row[0] for row in rows] == ["pipe", "plane", "paper", "kaplan"] * 2
+    assert [row[0] for row in rows] == ["pipe", "plane", "paper", "kaplan"] * 2 + ["forms:"]
     assert float(rows[0][2]) == pytest.approx(11929.3, abs=0.1)
     assert "9000" in run("--pressure", "9000", "--concrete", "no2", "--rise", "0").output
     assert "pipe: 2 m long, 125 mm wide, rising 0.5 m per m, gravity 0 m/s2" in run(
@@ -275,3 +275,9 @@ def test_theory_prints_a_restart():
     for given in (["--thixotropy", "1"], ["--rest", "-5"]):
         bad = CliRunner().invoke(cli, ["theory", *given])
         assert bad.exit_code != 0 and "pipe" not in bad.output
+
+
+def test_captions_name_constants_beyond_those_of_bingham():
+    given = dict(name="own", density=2300.0, viscosity=20.0, yield_stress=100.0, slip_viscosity=900.0, slip_yield=20.0)
+    assert Concrete(**given).words == "own (100 Pa, 20 Pa s)"
+    assert Concrete(**given, flow_index=1.3).words == "own (100 Pa, 20 Pa s, flow index 1.3)"

@@ -17,6 +17,10 @@ FULL_HELP = "warpcrete.full_help"
 """Key in the metadata of a Click context, with the value True if the help page must show all options."""
 
 
+METHOD_DEFAULTS = "warpcrete.method_defaults"
+"""Key in the metadata of a Click context, with pairs of options and values that the option `--method` sets."""
+
+
 class ParameterOption(click.Option):
     """Command-line option that sets a parameter of a scene, with the heading under which help pages list it."""
 
@@ -138,6 +142,9 @@ class GroupedCommand(PlainCommand):
         for title, records in sections.items():
             with formatter.section(title.rstrip(".")):
                 formatter.write_dl(records)
+        if changed := ctx.meta.get(METHOD_DEFAULTS):
+            formatter.write("\nWith this --method, these defaults differ from the ones above:\n")
+            formatter.write("".join(f"  {' '.join(pair)}\n" for pair in changed))
         if left_out:
             formatter.write(f"\n{left_out} further options: {ctx.command_path} --help-all\n")
 

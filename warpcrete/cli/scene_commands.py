@@ -4,6 +4,8 @@ import importlib
 import importlib.util
 import os
 import re
+from collections.abc import Container
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,7 +15,7 @@ from click.shell_completion import CompletionItem
 
 from ..core.errors import WarpcreteError
 from ..core.inputs.scene_titles import scene_titles
-from .help_pages import Commands, GroupedCommand, WordHelp
+from .help_pages import METHOD_DEFAULTS, Commands, GroupedCommand, WordHelp
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
 # when it is called.
@@ -65,6 +67,11 @@ def by_method(arguments: list[str]) -> list[str]:
     return [*left[: place + 1], *more, *left[place + 1 :]]
 
 
+def _is_added(pair: tuple[str, str], stated: Container[str]) -> bool:
+    """Return whether two words are an option and its value that :func:`by_method` added to the `stated` words."""
+    return pair[0].startswith("--") and pair[0] not in stated
+
+
 def titles() -> dict[str, str]:
     """Return the titles of all scenes by the scenes' names, without importing the scenes."""
     package = importlib.util.find_spec("warpcrete.scenes")
@@ -80,7 +87,9 @@ class LazyGroup(Commands):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         try:
+            stated = {word.partition("=")[0] for word in args}
             args = by_method(args)
+            ctx.meta[METHOD_DEFAULTS] = [pair for pair in pairwise(args) if _is_added(pair, stated)]
         except (click.UsageError, WarpcreteError):
             # Ignore errors while a shell completes the command line, because its last word is not complete yet.
             if not ctx.resilient_parsing:

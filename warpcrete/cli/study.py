@@ -101,13 +101,12 @@ def run(arguments: list[str], modules: dict[str, SceneModule]) -> None:
             click.echo(f"repeat {', '.join(study.lost)} with: {again}")
         raise SystemExit(CASE_FAILED)
     if study.suspect:
-        names = ", ".join(f"{name} ({', '.join(checks)})" for name, checks in study.suspect.items())
-        click.echo(
-            f"FAILED: checks of {len(study.suspect)} of {len(study.cases)} cases: {names}; do not use their results"
-        )
+        click.echo("\n".join(failed_lines(study)))
         raise SystemExit(CHECK_FAILED)
 
 
+NAMED_CASES = 2
+"""Maximum number of cases that the output names for each failed check; `study.suspect` has all of them."""
 SIZES = (
     "with the default stiffness of aggregates, pressures by discrete elements fall with their largest size, but they "
     "grow in the paper of Zhan et al., so do not draw conclusions from this trend; see the page "
@@ -126,6 +125,20 @@ def report(study: Study) -> None:
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
     click.echo(f"\n{study.progress}; study folder: {study.folder}")
+
+
+def failed_lines(study: Study) -> list[str]:
+    """Return lines about failed checks: their number, and for each check its cases and what the first one found.
+
+    What a check found includes its usual cure.
+    """
+    lines = [f"FAILED: checks of {len(study.suspect)} of {len(study.cases)} cases; do not use their results"]
+    for check in dict.fromkeys(name for checks in study.suspect.values() for name in checks):
+        cases = [case for case, checks in study.suspect.items() if check in checks]
+        several = f"  {check}, in {len(cases)} case{'s' * (len(cases) > 1)} ({', '.join(cases[:NAMED_CASES])}"
+        more = f" and {len(cases) - NAMED_CASES} more" if len(cases) > NAMED_CASES else ""
+        lines.append(f"{several}{more}); the first one: {study.results[cases[0]]['checks'][check]['found']}")
+    return lines
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, object]) -> dict[str, Any]:

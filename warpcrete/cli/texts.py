@@ -32,10 +32,11 @@ ON_WORKERS = """\
 
 STUDY_HELP = f"""Run a scene with many values: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
 
-Every parameter of the scene, as in `warpcrete run SCENE --help-all`, takes one value or several. Every combination of
-the values is a case. On a GPU, cases of discrete elements run in batches, and flows side by side. On a CPU, cases run
-in parallel processes, one per core. The folder holds study.md, study.csv, study.png and a run folder for each case.
-Tables and figures show a parameter in the unit in which its values are given, as in --flow 5m3/h 10m3/h.
+The command `warpcrete run SCENE --help-all` lists the parameters of a scene. Each takes one value or several. Every
+combination of the values is a case. On a GPU, cases of discrete elements run in batches, and flows side by side. On a
+CPU, cases run in parallel processes, one per core. The folder holds study.md, study.csv, study.png and a run folder
+for each case. Tables and figures show a parameter in the unit in which its values are given, as in --flow 5m3/h
+10m3/h.
 
 \b
   --repeat N             run every case with N seeds                                      [default: 1]
@@ -152,7 +153,9 @@ EXPLAIN_HELP = """Estimate the cost of a run beforehand: `warpcrete explain SCEN
 
 The command prints the compiled features and why they are needed, the memory by part, the time step and what limits it,
 the number of steps and the wall time on this device, and the changes that would shorten the run most. It simulates the
-scene for a few seconds to measure this, and keeps the result in the user's cache.
+scene for a few seconds to measure this, and keeps the result in the user's cache. If kernels for this kind of scene
+have not been compiled yet, it compiles them first, which can take minutes; so does the first run. The estimated wall
+time does not include compilation.
 
 \b
   --trade FOLDER         folder of a 'warpcrete trade' of this scene, which gives the errors

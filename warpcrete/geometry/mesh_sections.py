@@ -160,9 +160,10 @@ def _first_direction(
         refuse(field, name, f"does not begin at its origin: the middle of its first cross-section lies {beside:.4g} m "
                             "beside the origin",
                "move the mesh so that the middle of one end lies at its origin")  # fmt: skip
-    leads = ", ".join("+-"[int(way.sum() < 0)] + "xyz"[int(np.argmax(np.abs(way)))] for way in ways)
+    leads = " or ".join("+-"[int(way.sum() < 0)] + "xyz"[int(np.argmax(np.abs(way)))] for way in ways)
+    wanted = "one of these directions" if len(ways) > 1 else "this direction"
     refuse(field, name, f"has no closed cross-section at its origin in the direction {leads}",
-           "move the mesh so that it begins at its origin and leads in this direction, close its holes, or check its "
+           f"move the mesh so that it begins at its origin and leads in {wanted}, close its holes, or check its "
            "unit")  # fmt: skip
 
 

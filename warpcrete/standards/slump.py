@@ -78,10 +78,10 @@ SLUMP = StandardTest(
                  only_if="the spread grows to 500 mm before the run ends"),
     ),
     forms=(
-        ClosedForm("slump", "theory", "tall cone", _slump_of_cone),
-        ClosedForm("slump", "heap", "heap", _slump_of_heap),
-        ClosedForm("spread", "theory", "long heap", _spread_of_long_heap, is_estimate=False),
-        ClosedForm("spread", "heap", "heap", _spread_of_heap),
+        ClosedForm("slump", "theory", "theory of a tall cone", _slump_of_cone),
+        ClosedForm("slump", "heap", "theory of a heap", _slump_of_heap),
+        ClosedForm("spread", "theory", "theory of a long heap", _spread_of_long_heap, is_estimate=False),
+        ClosedForm("spread", "heap", "theory of a heap", _spread_of_heap),
     ),
     on_plate=True,
 )  # fmt: skip

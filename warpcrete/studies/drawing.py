@@ -121,7 +121,10 @@ def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str])
     """
     if wanted is None:
         return usual
-    one_of(called, wanted, list(UNITS.get(unit, ())) or [unit])
+    known = list(UNITS.get(unit, ())) or [unit]
+    if wanted not in known:
+        axis = "horizontal axis; 'y_unit' is that of the quantity" if called == "unit" else "vertical axis"
+        refuse(called, wanted, f"must be one of {', '.join(known)}", f"{called!r} is the unit of the {axis}")
     return (1 / UNITS[unit][wanted] if unit in UNITS else 1.0), wanted
 
 

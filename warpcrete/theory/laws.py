@@ -49,6 +49,13 @@ class FlowLaw:
     velocities; 0 in the other laws."""
 
     @property
+    def words(self) -> str:
+        """Flow index or quadratic coefficient of the law as text after other constants; empty for Bingham's law."""
+        if self.index != 1:
+            return f", flow index {self.index:g}"
+        return f", quadratic {self.quadratic:g}" if self.quadratic else ""
+
+    @property
     def name(self) -> str:
         """Name of the law, such as :data:`HERSCHEL_BULKLEY`."""
         return law_name(self.index, self.quadratic)

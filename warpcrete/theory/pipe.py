@@ -85,7 +85,7 @@ class Concrete(Declared):
 
         The constants are stated because they may differ from those of the shipped concrete of the same name.
         """
-        return f"{self.name} ({self.yield_stress:.3g} Pa, {self.viscosity:.3g} Pa s)"
+        return f"{self.name} ({self.yield_stress:.3g} Pa, {self.viscosity:.3g} Pa s{self.bulk_law.words})"
 
     @property
     def bulk_law(self) -> FlowLaw:

@@ -3,8 +3,14 @@
 from collections.abc import Sequence
 
 from ..core.errors import SceneError
-from .laws import BINGHAM, FlowLaw
+from .laws import BINGHAM
 from .pipe import FORMS, Concrete, Line, Steady, after_rest, flow_of_pressure, kaplan, restart, steady
+
+MEANINGS = (
+    "forms: pipe = round pipe; plane = channel between two planes, as wide as the pipe; paper = equations for two "
+    "dimensions as Xu, Li & Jiang (2021) print them, only for comparison with their figures"
+)
+"""Line below a table that explains the forms of the theory."""
 
 
 def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
@@ -28,13 +34,6 @@ def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float
     return "\n".join(lines)
 
 
-def _law_text(law: FlowLaw) -> str:
-    """Return flow index or quadratic coefficient of a law as text for a table; empty for Bingham's law."""
-    if law.index != 1:
-        return f", flow index {law.index:g}"
-    return f", quadratic {law.quadratic:g}" if law.quadratic else ""
-
-
 def _pipe_text(line: Line) -> str:
     """Return length, diameter and direction of a pipe as text, and its gravity if this is unusual."""
     ways = {1.0: "upright", 0.0: "level", -1.0: "downward"}
@@ -52,8 +51,8 @@ def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures
     """
     lines = [
         f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "
-        f"{concrete.yield_stress:g} Pa{_law_text(concrete.bulk_law)}; slip layer {concrete.slip_viscosity:g} Pa s/m, "
-        f"{concrete.slip_yield:g} Pa{_law_text(concrete.layer_law)}",
+        f"{concrete.yield_stress:g} Pa{concrete.bulk_law.words}; slip layer {concrete.slip_viscosity:g} Pa s/m, "
+        f"{concrete.slip_yield:g} Pa{concrete.layer_law.words}",
         _pipe_text(line),
         f"{'form':8s}{'flow [m3/s]':>14s}{'pressure [Pa]':>15s}{'wall stress [Pa]':>18s}{'slip [m/s]':>12s}"
         f"{'plug radius [m]':>17s}",
@@ -79,4 +78,4 @@ def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures
                 lines.append(f"{form:8s}{0:14.5g}{pressure:15.6g}   {str(error).partition(': ')[2].partition(' (')[0]}")
         if len(standing) == len(FORMS):
             raise standing[-1]
-    return "\n".join(lines)
+    return "\n".join([*lines, MEANINGS])

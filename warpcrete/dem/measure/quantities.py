@@ -403,6 +403,13 @@ def quantities() -> tuple[Quantity, ...]:
     return (*of_vessels(), *QUANTITIES)
 
 
+def _plug_words(run: Run) -> str:
+    """Return a phrase with the number of balls in the plug, which recordings show too; empty without such balls."""
+    groups = run.bodies.group  # type: ignore[attr-defined]
+    balls = sum(group == "plug" for group in groups)
+    return f"; recordings show {len(groups)} bodies, with {balls} balls of the plug" if balls else ""
+
+
 def report(run: Run) -> Iterator[tuple[str, str]]:
     """Yield titles and texts that the summary shows besides results: missing plateau, blockage, wear, packing."""
     if words := no_plateau(run):
@@ -424,6 +431,6 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
             "packing",
             (
                 f"{packing.bodies} aggregates, solid fraction {packing.solid_fraction:.3f}, "
-                f"{packing.coordination_number:.1f} neighbours each"
+                f"{packing.coordination_number:.1f} neighbours each{_plug_words(run)}"
             ),
         )

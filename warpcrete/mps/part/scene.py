@@ -21,6 +21,9 @@ from ...theory.pipe import Line as Stretch
 from ..common.settings import STEP_ERROR, MaximumIterations, PressureTolerance, check_interval
 from .symmetry import Orientation, orientation
 
+NARROW_CELLS = 11
+"""Minimum number of cells across the narrowest section for which the friction computed in this section deviates little
+from theory. In a cone from 100 to 80 mm, it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
 MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
 CLEARANCE, MIN_CELLS_LEFT = 1.0, 4
@@ -166,7 +169,8 @@ class PartScene(Parametrised, PartSettings):
         least = 2 * self.narrowest
         if self.spacing > least / MIN_ACROSS:
             problem = f"is too coarse: at least {MIN_ACROSS} cells must fit across the narrowest bore, {least:.4g} m"
-            refuse("spacing", self.spacing, problem, f"use {at_most(least / MIN_ACROSS)} m or less")
+            hint = f"use {at_most(least / NARROW_CELLS)} m or less; {NARROW_CELLS} cells give an accurate friction"
+            refuse("spacing", self.spacing, problem, hint)
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             shortest = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
@@ -175,7 +179,9 @@ class PartScene(Parametrised, PartSettings):
             if length < shortest * (1 - 1e-9):
                 share = "" if end > begin else "; this length is half of the pipe"
                 problem = f"is too short to measure the pressure loss of straight pipe{share}"
-                refuse("straight", length, problem, f"use {at_least(shortest)} m or more")
+                check = ", or check 'wall_scale'" * (self.wall is not None)
+                hint = f"use {at_least(shortest)} m or more for this bore of {2 * float(self.bore(at)):.3g} m{check}"
+                refuse("straight", length, problem, hint)
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if not self.step_error and self.time_step * fastest > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that flows at {fastest:.3g} m/s "
