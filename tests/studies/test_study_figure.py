@@ -71,7 +71,7 @@ def test_a_figure_of_a_study_has_the_wanted_axes_and_units(tmp_path):
     assert max(axes.lines[0].get_xdata()) == pytest.approx(20e3 / 60)
     assert axes.get_ylim()[1] == pytest.approx(1.06e-5 * by_theory(20 / 3600, 100.0), rel=0.01)
     study.written = {}
-    assert [axes.get_xlabel() for axes in study.plot().axes] == ["flow [m3/h]", "yield stress [Pa]"]
+    assert [axes.get_xlabel() for axes in study.plot().axes] == ["flow [m3/h]"]  # three flows, but two yield stresses
     assert all(len(axes.get_xticks()) <= 6 for axes in study.plot().axes)
     for given, words in (
         (
@@ -108,6 +108,19 @@ def test_a_figure_leaves_out_deviations_from_theory_unless_they_are_wanted(tmp_p
         result["pressure_error"] = 1e-4
     assert len([axes for axes in study.plot(x="flow").axes if axes.get_visible()]) == 1
     assert study.plot("pressure_error", x="flow").axes[0].get_ylabel() == "pressure error [%]"
+
+
+def test_a_figure_has_theory_that_tables_leave_out_and_short_legends(tmp_path):
+    study = flows_of(tmp_path)
+    study.quantities = [Quantity(name, "Pa", lambda k: None, compared=True) for name in ("pressure", "friction")]
+    for result in study.results.values():
+        result["friction"] = {"value": 0.5 * result["pressure"]["value"], "unit": "Pa"}
+    (axes,) = study.plot().axes
+    dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
+    exact = [by_theory(flow / 3600, 100.0) / 1e3 for flow in (5, 10, 20)]
+    assert len(dashed) == 2 and list(dashed[1].get_ydata()) == pytest.approx(exact)
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert texts[:4] == ["yield stress 25 Pa", "yield stress 100 Pa", "pressure", "friction"] and len(texts) == 6
 
 
 def test_a_figure_shows_any_number_in_the_results_of_the_runs(tmp_path):

@@ -31,6 +31,8 @@ TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
 LABEL_WIDTH = 34
 """Number of characters after which the label of an axis continues on a new line."""
 HEIGHT = 3.2  # height of a panel with its legend [inch]
+LEGEND_ROW = 0.21  # height of a row of a legend [inch]
+USUAL_ROWS = 2  # number of rows of a legend for which a panel of this height has room
 MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
 THEORY_POINTS = 21  # number of points of a theoretical curve
@@ -60,6 +62,9 @@ def draw(
     if x is not None:
         one_of("x", x, names)
         names = [x]
+    elif quantity is None and len(names) > 1 and all(len(case.varied) == len(names) for case in study.cases):
+        # Every case has a value of every parameter, so that one panel with series shows all of them.
+        names = [max(names, key=lambda name: len({str(case.varied[name]) for case in study.cases}))]
     compared = study.compared
     if quantity is not None:
         known = _measured(study)
@@ -79,7 +84,9 @@ def draw(
             for each in compared
             if not each.name.endswith("_error") or f"{each.name.removesuffix('_error')}_theory" not in drawn
         ]
-    if unit is not None and len(names) > 1:
+        predicted = [f"{each.name}_theory" for each in compared]
+        compared += [each for name, each in _measured(study).items() if name in predicted and name not in drawn]
+    if unit is not None and x is None and len(study.varied) > 1:
         refuse("unit", unit, "needs 'x', because several parameters are varied", f"add, for example, x={names[0]!r}")
     scales = {name: _scale("unit", unit, study.units.get(name, ""), _unit(study, name)) for name in names}
     units = list(dict.fromkeys(each.unit for each in compared))
@@ -95,7 +102,20 @@ def draw(
             axes = next(panels)
             _panel(axes, study, rows, name, drawn, scales[name], y_scale, theory)
             axes.set_visible(bool(axes.lines or axes.containers))
+    _make_room(figure)
     return figure
+
+
+def _make_room(figure: Any) -> None:
+    """Make panels whose legends have many rows higher, so that legends do not take the room of the curves."""
+    heights = []
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        rows = 0 if legend is None else -(-len(legend.get_texts()) // legend._ncols)
+        heights.append(HEIGHT + LEGEND_ROW * max(0, rows - USUAL_ROWS))
+    figure.set_figheight(figure.get_figheight() + sum(heights) - HEIGHT * len(heights))
+    if heights:
+        figure.axes[0].get_gridspec().set_height_ratios(heights)
 
 
 def _measured(study: Any) -> dict[str, Quantity]:
@@ -199,7 +219,12 @@ def _panel(
 
     curves: list[Any] = []
     theories = {each.name for each in drawn if each.name.endswith("_theory")}
-    for each, marker in zip(drawn, MARKERS):
+    several = len(drawn) - len(theories) > 1 and len(series) > 1
+    if several:  # Colours show the series, and markers the quantities; one entry for each keeps the legend short.
+        curves += [_entry(label, color=rgb(colour), linewidth=4) for (label, _), colour in series]
+        curves += [_entry(each.title, marker=marker, color="0.4", linestyle="none")
+                   for each, marker in zip(drawn, itertools.cycle(MARKERS)) if each.name not in theories]  # fmt: skip
+    for each, marker in zip(drawn, itertools.cycle(MARKERS)):
         for k, ((label, part), colour) in enumerate(series):
             part = sorted((row for row in part if np.isfinite(row[each.name])), key=at)
             if not part:
@@ -208,7 +233,9 @@ def _panel(
             x = [at(row) + (0.0 if numeric else 0.08 * k) for row in part]
             y = np.array([row[each.name] for row in part]) * y_scale[0]
             if each.name in theories:
-                between = theory.between(part, name, each) if numeric else None
+                between = theory.between(part, name, each) if numeric and each in study.compared else None
+                if numeric and each not in study.compared:
+                    between = [row[name] for row in part], [row[each.name] for row in part]
                 line = _draw_theory(axes, x, y, between and tuple(np.array(between) * [[x_scale[0]], [y_scale[0]]]))
                 if not any(curve.get_label() == each.title for curve in curves):
                     line.set_label(each.title)
@@ -220,10 +247,11 @@ def _panel(
             joined = numeric and f"{each.name}_theory" not in theories
             name_of_series = ", ".join(filter(None, (title, label)))
             partial = [k for k, row in enumerate(part) if f"{each.name}_runs" in row]
-            curves.append(axes.errorbar(
+            points = axes.errorbar(
                 x, y, scatter if scatter.any() else None, fmt=marker, linestyle="-" if joined else "none",
                 color=rgb(colour), capsize=3, markersize=5, label=name_of_series,
-            ))  # fmt: skip
+            )  # fmt: skip
+            curves += [] if several else [points]
             if partial:
                 hollow = axes.plot(
                     [x[k] for k in partial], y[partial], marker, color=rgb(colour), markersize=9, label=PARTIAL,
@@ -256,6 +284,13 @@ def _panel(
     open_frame(axes)
     if len(curves) > 1:
         legend_above(axes, curves=curves)
+
+
+def _entry(label: str, **style: Any) -> Any:
+    """Return an entry of a legend that belongs to no single curve."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
 
 
 class _TheoryCurves:
