@@ -77,7 +77,8 @@ def test_settings_of_the_wrong_kind_do_not_count_as_true():
      ("50 N/m2", "Pa", "did you mean 'Pa'?"), ("2.4 g/cm³", "kg/m3", "did you mean 'g/cm3'?"),
      ("2300 kg", "kg/m3", "did you mean 'kg/m3'?"), ("30 Pa", "Pa s", "did you mean 'Pa s'?"),
      ("30 Pa*s", "Pa s", "did you mean 'Pa s'?"), ("90 grad", "degrees", "did you mean 'degrees'?"),
-     ("100 Millimeter", "m", "did you mean 'mm'?"), ("10 minutes", "s", "did you mean 'min'?")],
+     ("100 Millimeter", "m", "did you mean 'mm'?"), ("10 mins", "s", "did you mean 'min'?"),
+     ("30m", "s", "did you mean 'min'?")],
 )  # fmt: skip
 def test_a_wrong_unit_leads_to_the_unit_that_is_meant(text, unit, hint):
     assert hint in refused(lambda: amount("x", text, unit))

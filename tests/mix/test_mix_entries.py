@@ -381,3 +381,15 @@ def test_a_file_in_the_wrong_place_is_explained(tmp_path, text, command, says):
     path = tmp_path / "file.yaml"
     path.write_text(f"{text}\n", encoding="utf-8")
     assert says in str(CliRunner().invoke(cli, [command, str(path)]).exception)
+
+
+def test_an_ingredient_without_a_unit_beside_customary_ones_is_questioned():
+    parts = {"cement": 335, "water": "33 gal/yd3", "sand": "1420 lb/yd3", "gravel": "1780 lb/yd3"}
+    with pytest.warns(PlausibilityWarning, match=r"cement: 335: .* in kg/m3, .* in lb/yd3; did you mean '335 lb/yd3'"):
+        mix_of({"parts": parts, "slump": "7 in"})
+
+
+def test_a_number_that_a_comma_has_split_is_shown_as_it_was_typed():
+    parts = yaml.safe_load("{cement: 564 lb/yd3, sand: 1,260 lb/yd3, water: 33 gal/yd3}")
+    with pytest.raises(SceneError, match="write 1260 lb/yd3 without a comma"):
+        mix_of({"parts": parts})

@@ -2,11 +2,14 @@
 
 import json
 import math
+import re
 
 import pytest
 from click.testing import CliRunner
 
+from warpcrete import SceneError
 from warpcrete.cli.main import cli
+from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.mix.layer import slump_layer
 from warpcrete.mix.mix import mix_of
 from warpcrete.theory.pipe import Line, steady
@@ -136,3 +139,37 @@ def test_options_of_theory_and_flow_are_refused_with_discrete_elements(option, v
     done = called("burj-khalifa", "--method", "dem", f"--{option.replace('_', '-')}", str(value))
     assert done.exit_code != 0
     assert f"{option} = {value!r}: has no effect with --method dem; use --method both" in done.output
+
+
+def test_a_misplaced_diameter_is_questioned_and_starts_no_large_simulation(tmp_path):
+    """The reducer from 1 m to 5 inches needs a million cells, and more with finer cells."""
+    site = tmp_path / "site.yaml"
+    parts = "parts:\n  - straight: 10\n  - reducer: {to: 5 in, length: 0.8 m}\n  - straight: 10\n"
+    site.write_text(f"diameter: 1000 mm\nflow: 30 m3/h\nconcrete: no1\n{parts}", encoding="utf-8")
+    with pytest.warns(PlausibilityWarning, match=r"diameter = 1000 mm: is unusual: concrete pipes have diameters of"):
+        done = CliRunner().invoke(cli, ["line", str(site)])
+    assert isinstance(done.exception, SceneError)
+    assert re.search(r"part 2 = .* with 9.8e\+05 cells may take hours; .*--simulate starts", str(done.exception))
+    with pytest.warns(PlausibilityWarning):
+        done = CliRunner().invoke(cli, ["line", str(site), "--simulate", "--cells", "40", "--out", str(tmp_path / "x")])
+    assert isinstance(done.exception, SceneError) and "at most 5e+06 are possible" in str(done.exception)
+    with pytest.warns(PlausibilityWarning):
+        assert CliRunner().invoke(cli, ["line", str(site), "--theory"]).exit_code == 0
+
+
+def test_lengths_without_a_unit_beside_feet_are_questioned(tmp_path):
+    site = tmp_path / "site.yaml"
+    text = (
+        "diameter: 5 in\nflow: 30 m3/h\nconcrete: no1\nparts:\n  - straight: 100 ft\n  - bend: up\n  - straight: {}\n"
+    )
+    site.write_text(text.format("120"), encoding="utf-8")
+    with pytest.warns(PlausibilityWarning, match=r"part 3, straight: 120: .* is in m, .* in ft; did you mean '120 ft'"):
+        assert CliRunner().invoke(cli, ["line", str(site)]).exit_code == 0
+    site.write_text(text.format("120 ft"), encoding="utf-8")
+    assert "did you mean" not in CliRunner().invoke(cli, ["line", str(site)]).output
+
+
+@pytest.mark.parametrize(("rest", "minutes"), [("30 minutes", 30), ("1 hour", 60), ("1800 seconds", 30)])
+def test_units_of_time_may_be_written_out(rest, minutes):
+    done = CliRunner().invoke(cli, ["line", "--slump", "180 mm", *PIPE, "--rest", rest])
+    assert done.exit_code == 0 and f"after {minutes} min of rest" in done.output

@@ -28,7 +28,7 @@ from ..studies.lines.answers import pressure_text
 from ..studies.lines.fit import fit_line
 from ..studies.lines.fit_files import write_fit
 from ..studies.lines.fit_report import fit_lines
-from ..studies.lines.fittings import is_in_library
+from ..studies.lines.fittings import cells_of, check_cells, is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
 from ..studies.lines.losses import with_layer_factor
 from ..studies.lines.pressures import Stop
@@ -76,9 +76,12 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     requested = simulate or method != "flow"
     at_once = theory or given.guessed or settings["fit"] is not None
     unknown = [] if requested or at_once else [part for part in given.line.parts if not is_in_library(part)]
+    for part in unknown:
+        check_cells(part, settings["cells"], asked=False)
     for part in unknown[:1]:
         click.echo(f"note: part {part.number}, {part.label}, is sharper than all parts in the table of simulated "
-                   "parts, so it is simulated now; --theory skips this", err=True)  # fmt: skip
+                   f"parts, so it is simulated now, with {cells_of(part, settings['cells']):.2g} cells; this "
+                   "takes minutes, and --theory skips it", err=True)  # fmt: skip
     needed = () if settings["blocking"] is None else ("device", "threads")
     for name, usual in () if requested or unknown else FLOW_OPTIONS.items():
         if name not in needed and settings[name] != usual:

@@ -111,7 +111,8 @@ class Course:
             field = f"part {number}, {kind}: {key}"
             with errors_located_at(said, key):
                 found = amount(field, said.get(key, default), unit)
-                check_limit(field, found, unit, LIMITED_AS.get(key, key))
+                if key in said:
+                    check_limit(field, found, unit, LIMITED_AS.get(key, key))
             return found
 
         part, pieces = getattr(self, f"_{kind}")(number, said, get)

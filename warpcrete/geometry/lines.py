@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import SceneError, one_line, one_of, positive, refuse, suggested
-from ..core.inputs.amounts import amount, is_customary
+from ..core.inputs.amounts import amount, bare_number, is_customary, written_unit
 from ..core.inputs.concretes import KEYS as CONCRETE_KEYS
 from ..core.inputs.concretes import OF_MIXES, is_file
-from ..core.inputs.limits import check_limit, check_velocity
+from ..core.inputs.limits import check_limit, check_velocity, warn
 from ..core.inputs.text_files import errors_in_file, errors_located_at, name_of, read_mapping
 from ..core.records import Record
 from .axis import Axis
@@ -121,6 +121,7 @@ def line_of(given: Mapping[str, object], name: str = "line", folder: Path = Path
     if "bend_factor" in given:
         with errors_located_at(given, "bend_factor"):
             parts = with_bend_factor(parts, given["bend_factor"])
+    _check_units(entries)
     customary = any(is_customary(given.get(key)) for key in (*AMOUNTS, "pump", "parts"))
     if customary:
         parts = with_customary_labels(parts, entries, given["diameter"])
@@ -158,6 +159,26 @@ def _check_list(entries: object) -> None:
                 with errors_located_at(entries, number), errors_located_at(entry, key):
                     hint = f"write '{key}: {entry[key]}' outside the list 'parts', without indentation"
                     refuse(f"part {number + 1}", key, "describes the whole line, so it cannot be a part", hint)
+
+
+def _check_units(entries: Sequence[Mapping[str, object]]) -> None:
+    """Warn about lengths of parts without a unit beside lengths in feet or yards."""
+    lengths: list[tuple[int, str, object]] = []
+    for number, entry in enumerate(entries, 1):
+        kind, said = next(iter(entry.items())) if isinstance(entry, Mapping) else (str(entry), None)
+        value = said.get("length") if isinstance(said, Mapping) else said
+        if kind in ("straight", "hose", "valve") or isinstance(said, Mapping):
+            lengths.append((number, kind, value))
+    units = [written_unit([value], "m") for _, _, value in lengths if is_customary(value)]
+    unit = next((each for each in units if each not in (None, "in")), None)
+    bare = [(number, kind, value) for number, kind, value in lengths if bare_number(value)]
+    if unit is not None and bare:
+        number, kind, value = bare[0]
+        others = f" (also {', '.join(f'part {each}' for each, _, _ in bare[1:])})" if bare[1:] else ""
+        warn(
+            f"part {number}, {kind}: {value}{others}: without a unit, this is in m, but other parts are in {unit}; "
+            f"did you mean '{value} {unit}'?"
+        )
 
 
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:

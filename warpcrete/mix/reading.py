@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
-from ..core.inputs.amounts import LONGEST, amount, is_amount, is_customary
+from ..core.inputs.amounts import LONGEST, amount, bare_number, is_amount, is_customary, written_unit
 from ..core.inputs.concretes import FACTORS_BELONG, MISPLACED_FACTORS
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
@@ -313,10 +313,14 @@ def _density(given: Mapping[str, object], heavy: float) -> tuple[float, bool, di
             _check_ingredient(str(name), value)
             if value is None and str(name)[:1].isdigit():
                 problem = "is an amount without a name; a comma inside braces separates entries"
-                refuse("mix parts", str(name), problem, "write 1420 lb/yd3 without a comma, or one ingredient per line")
+                before = ["", *parts.values()][list(parts).index(name)]
+                number = f"{before}{name}" if bare_number(before) else str(name)
+                hint = f"write {number} without a comma, or one ingredient per line"
+                refuse("mix parts", str(name), problem, hint)
             masses[str(name)] = mass_per_volume(str(name), value, load)
             hint = "give the mass in a cubic metre, and leave out ingredients without mass"
             between(f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", hint)
+    _check_units(parts)
     total = sum(masses.values())
     if own is not None and abs(total / own - 1) > DENSITY_TOLERANCE:
         problem = f"contradicts 'parts', which add up to {total:.5g} kg/m3"
@@ -333,6 +337,21 @@ def _density(given: Mapping[str, object], heavy: float) -> tuple[float, bool, di
         )
     check_volume(masses, heavy, air)
     return (total, True, masses) if own is None else (own, False, masses)
+
+
+def _check_units(parts: Mapping[str, object]) -> None:
+    """Warn about ingredients without a unit beside ingredients in customary US units."""
+    units = [written_unit([value], "kg/m3") for value in parts.values() if is_customary(value)]
+    unit = next((each for each in units if each is not None), None)
+    bare = [name for name, value in parts.items() if bare_number(value)]
+    if unit is None or not bare:
+        return
+    with errors_located_at(parts, bare[0]):
+        stated = ", ".join(f"{name}: {parts[name]}" for name in bare)
+        warn(
+            f"mix parts: {stated}: without a unit, this is in kg/m3, but other ingredients are in {unit}; "
+            f"did you mean '{parts[bare[0]]} {unit}'?"
+        )
 
 
 def _by_volume(parts: Mapping[str, object], load: float | None) -> dict[str, Any]:

@@ -57,7 +57,7 @@ LIMITS = {
     "": Limit(1e-12, 1e9, "ratios are near 1"),
     # Limits by name, for quantities whose usual range is narrower than the usual range of other quantities with the
     # same unit.
-    "diameter": Limit(1e-3, 10.0, "concrete pipes have diameters of 0.05 to 0.2 m", (0.01, 1.0), "m"),
+    "diameter": Limit(1e-3, 10.0, "concrete pipes have diameters of 0.05 to 0.2 m", (0.01, 0.5), "m"),
     "flow": Limit(1e-12, 1.0, "the largest concrete pumps deliver 0.06 m3/s (200 m3/h)", (1e-7, 0.12), "m3/s"),
     "velocity": Limit(1e-6, 100.0, "concrete is pumped at 0.1 to 3 m/s", (1e-4, 10.0), "m/s"),
     "density": Limit(300.0, 2.5e4, "foamed concrete has 400 kg/m3, concrete 1800 to 2600, steel 7850",

@@ -3,11 +3,13 @@
 For each kind of part, this module holds the range of this ratio, and the source of the range.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.errors import refuse
 from ...core.inputs.customary import both
 from ...geometry.course import BEND_EXTRA_LOSS
 from ...geometry.pipe_line import Part
@@ -17,6 +19,12 @@ JGJ = "JGJ/T 10, table of pressure losses (https://www.wendadaohang.com/zd/A5nWW
 JSCE = "JSCE, rule for pumping (https://ga40077.com/concrete-engineer/calculation-pumping-load)"
 CALIBE = "Kaplan and CALIBE (NIST, Materials science of concrete 2000: 150 m, 12 elbows, more than 50 concretes)"
 PARK = "Park et al., ACI Mater. J. 117-3 (2020) 205 (133, 369 and 560 m, four concretes)"
+STRAIGHT_DIAMETERS = 2.5
+"""Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
+diameters."""
+MOST_UNASKED, MOST_CELLS = 3e5, 5e6
+"""Largest number of cells of a part that is simulated without a request (`--simulate`), and with one. A bend of 125 mm
+with a radius of 0.125 m has 4,500 cells, and a million cells need 6 GB of memory."""
 VALVE_PRESSURE = 0.8e6
 """Pressure loss of a stop valve [Pa] (JGJ/T 10)."""
 REDUCER_EXTRA_LOSS = ((0.0, 0.0208, 0.025, 0.0417, 0.05, 0.0833), (0.0, 0.047, 0.082, 0.117, 0.161, 0.452))
@@ -122,3 +130,29 @@ def is_in_library(part: Part) -> bool:
     if part.kind == "bend":
         return part.diameter / part.radius <= BEND_EXTRA_LOSS[0][-1]
     return (part.diameter - part.outlet) / 2 / part.length <= REDUCER_EXTRA_LOSS[0][-1]
+
+
+def cells_of(part: Part, cells: int) -> float:
+    """Return the number of cells in which a bend or reducer is simulated, with straight pipe before and behind it.
+
+    `cells` is the number of cells across the narrowest bore. Half of the part is simulated, because it is symmetrical.
+    """
+    ahead = STRAIGHT_DIAMETERS * max(part.diameter, part.outlet)
+    squares = part.diameter**2 * (ahead + 0.5 * part.length) + part.outlet**2 * (ahead + 0.5 * part.length)
+    return 0.5 * math.pi / 4 * squares / (part.narrow / cells) ** 3
+
+
+def check_cells(part: Part, cells: int, asked: bool = True) -> None:
+    """Refuse to simulate a bend or reducer that needs too many cells; fewer are allowed if the user has not `asked`.
+
+    Raises :class:`SceneError` with the number of cells.
+    """
+    count, most = cells_of(part, cells), MOST_CELLS if asked else MOST_UNASKED
+    if part.kind not in ("bend", "reducer") or count <= most:
+        return
+    problem = f"would be simulated with {count:.2g} cells, but at most {most:.2g} are possible"
+    hint = "check the diameters of the line, or add the option --theory or a 'factor' of the part"
+    if not asked:
+        problem = f"is sharper than all parts in the table, and its simulation with {count:.2g} cells may take hours"
+        hint += "; --simulate starts the simulation" if count <= MOST_CELLS else ""
+    refuse(f"part {part.number}", part.label, problem, hint)

@@ -16,7 +16,7 @@ from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
-from .fittings import is_in_library, library_factor
+from .fittings import STRAIGHT_DIAMETERS, check_cells, is_in_library, library_factor
 from .folder import check_known, part_simulation, previous_run
 from .line_folder import LINE_RECORD
 from .losses import GRAVITY, friction, with_layer_factor
@@ -32,9 +32,6 @@ friction deviates by 2.2 to 3.1 %."""
 TUBE_CELLS = 20
 """Number of cells across the bore of a simulated straight pipe. It is larger than in bends and reducers because a
 periodic pipe is short and cheap to simulate."""
-STRAIGHT_DIAMETERS = 2.5
-"""Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
-diameters."""
 CURE = "; usual cure: "
 """Words in the text of a failed check that precede the scene parameters by which the failure can be avoided."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
@@ -102,6 +99,8 @@ def run_line(
     kinds = {
         part.loss_key: part for part in line.parts if part.factor is None and not (unless_known and is_in_library(part))
     }
+    for part in kinds.values():
+        check_cells(part, cells)
     cases = {key: _scene_of_part(part, concrete, flow, cells) for key, part in kinds.items()}
     # Build all scenes before the first run, so that an impossible scene is refused at once.
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
