@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from warpcrete import SceneError
-from warpcrete.cli.main import cli
+from warpcrete.cli.main import cli, main
 from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.mix.layer import slump_layer
 from warpcrete.mix.mix import mix_of
@@ -173,3 +173,29 @@ def test_lengths_without_a_unit_beside_feet_are_questioned(tmp_path):
 def test_units_of_time_may_be_written_out(rest, minutes):
     done = CliRunner().invoke(cli, ["line", "--slump", "180 mm", *PIPE, "--rest", rest])
     assert done.exit_code == 0 and f"after {minutes} min of rest" in done.output
+
+
+def test_concrete_that_cannot_be_pumped_is_named_before_its_pressure():
+    done = CliRunner().invoke(cli, ["line", "--slump", "30 mm", *PIPE])
+    assert done.output.lstrip().startswith("WARNING: consistency: slump 30 mm") and done.exit_code == 0
+    assert done.output.index("cannot be pumped") < done.output.index("pressure at the pump")
+    assert "WARNING" not in CliRunner().invoke(cli, ["line", "--slump", "120 mm", *PIPE]).output
+
+
+def test_an_assumed_air_content_is_named_beside_the_pressure(tmp_path):
+    mix = tmp_path / "mix.yaml"
+    text = "mix: {{slump: 150 mm, {}parts: {{cement: 340, water: 170, sand: 800, gravel: 1050}}}}\n"
+    said = []
+    for air in ("", "air: 2 %, "):
+        mix.write_text(text.format(air), encoding="utf-8")
+        said.append(called(*PIPE, "--concrete", str(mix)).output)
+    assert "remark: the mix states no air content: 2 % is assumed" in said[0] and "remark:" not in said[1]
+
+
+def test_a_number_sign_that_a_shell_reads_as_a_comment_is_explained(monkeypatch, capsys):
+    """The shell drops `#57` from `--stone #57`, so that the option has no argument."""
+    monkeypatch.setattr("sys.argv", ["warpcrete", "line", "--stone"])
+    monkeypatch.setattr("signal.signal", lambda *given: None)
+    with pytest.raises(SystemExit):
+        main()
+    assert "put a value that begins with # in quotes, as in --stone '#57'" in capsys.readouterr().err

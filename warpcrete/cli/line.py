@@ -21,9 +21,9 @@ from ..core.inputs.limits import check_limit, check_whole
 from ..core.records import Record
 from ..core.run.files import next_folder, write_json
 from ..geometry.pipe_line import PipeLine
-from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
+from ..mix.blocking import CANNOT, blocking_rules, line_rules, narrowest, rule_lines, rule_records
 from ..mix.measurements import Layer
-from ..mix.mix import Mix, factors_text
+from ..mix.mix import NO_AIR, Mix, factors_text
 from ..studies.lines.answers import pressure_text
 from ..studies.lines.fit import fit_line
 from ..studies.lines.fit_files import write_fit
@@ -114,7 +114,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
                 f"m3/h', or leave out {' and '.join(needing)}"
             )
         if fit is None:
-            said = [*_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
+            said = [*_verdict(given.mix), *_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
         elif out is not None:
             with line_folder(out, {"line": pipes.name, "concrete": given.name, "flow": None, "method": "theory"}):
                 said += write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)
@@ -315,8 +315,8 @@ def _finish(
     even if printing fails. With the option `--blocking`, the probability of a blockage is then simulated, printed and
     added to the file.
     """
-    said = [*said, *_factors(given), *([] if settings["fit"] is not None else _other_layers(line, given)), "",
-            *_rules(line, given.mix, folder)]  # fmt: skip
+    others = [] if settings["fit"] is not None else _other_layers(line, given)
+    said = [*_verdict(given.mix), *said, *_factors(given), *_air(given), *others, "", *_rules(line, given.mix, folder)]
     if folder is not None:
         write_lines(said, folder)
     click.echo("\n" + "\n".join(said))
@@ -326,6 +326,18 @@ def _finish(
         more = blocked.run(line, given.name, given.flow, folder, settings)
         write_lines([*said, "", *more], folder)
         click.echo("\n" + "\n".join(more))
+
+
+def _verdict(mix: Mix | None) -> list[str]:
+    """Return lines of text that say first that the concrete cannot be pumped, if its slump says so."""
+    rules = [] if mix is None else blocking_rules(mix.given, None)
+    return [line for rule in rules if CANNOT in rule.found for line in (f"WARNING: {rule.rule}: {rule.found}", "")]
+
+
+def _air(given: LineInputs) -> list[str]:
+    """Return lines of text on an assumed air content, if the mix states none."""
+    remarks = () if given.mix is None else given.mix.remarks
+    return [line for remark in remarks if remark.startswith(NO_AIR) for line in ("", f"remark: {remark}")]
 
 
 def _factors(given: LineInputs) -> list[str]:

@@ -399,6 +399,8 @@ def main() -> None:
             text = _unknown_option(error, text)
         elif "unexpected extra argument" in text:
             text += "; put a value that contains a space in quotes, as in --flow '5 m3/h'"
+        elif "requires an argument" in text:
+            text = f"{text.rstrip('.')}; put a value that begins with # in quotes, as in --stone '#57'"
         _fail(text, 2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)

@@ -51,7 +51,7 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
             "discrete elements can only have a linear slip layer: state its layer_yield and layer_viscosity in the "
             "section 'elements'"
         )
-    click.echo(f"to simulate its slump with elements: {_cone(mix)}")
+    click.echo(f"to simulate its slump with elements (ten minutes or more on two cores): {_cone(mix)}")
     if out is not None:
         with atomic_file(out) as partial:
             partial.write_text(yaml_text(concrete), encoding="utf-8")

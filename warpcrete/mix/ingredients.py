@@ -331,8 +331,9 @@ def density_of(name: str) -> float | None:
     if suggestion:
         refuse("mix parts", name, "is not a known ingredient", suggestion)
     warn(
-        f"mix parts: {quoted(name)} is not a known ingredient: it is taken neither for powder nor for aggregate, and "
-        "the total volume cannot be checked; use a name such as 'cement', 'sand', 'gravel' or 'superplasticizer'"
+        f"mix parts: {quoted(name)} is not a known ingredient: it is taken neither for powder nor for aggregate, so "
+        "the slip layer may be wrong, and the total volume cannot be checked; use a name such as 'cement', 'sand', "
+        "'gravel' or 'superplasticizer'"
     )
     return None
 

@@ -57,6 +57,10 @@ GAUGES_CONTRADICT = (
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
+NO_AIR = "the mix states no air content"
+"""Beginning of the remark on a mix without the entry `air`."""
+
+
 @dataclass(frozen=True, repr=False)
 class Mix:
     """Mix of a concrete, with all properties calculated from it."""
@@ -338,7 +342,7 @@ def mix_of(
     if entries.sand_and_stone is not None and given.get("air") is None:
         left = both(entries.customary, "l/m3", entries.sand_and_stone, digits=3)
         remarks.append(
-            f"the mix states no air content: {100 * USUAL_AIR:g} % is assumed, which leaves {left} for sand "
+            f"{NO_AIR}: {100 * USUAL_AIR:g} % is assumed, which leaves {left} for sand "
             "and stones; state it as in 'air: 2 %'"
         )
     if entries.sieve is None and entries.sizes is None:

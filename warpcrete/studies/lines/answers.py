@@ -110,12 +110,9 @@ def band_sentences(
     for place, (cause, share) in enumerate(shares):
         if place and share < LEAST_SHARE:
             break
-        span = "" if place else f" of the band of {band_text(band, customary)}"
+        span = " of this band" if place else f" of the band of {band_text(band, customary)}"
         advice = advise(cause)
-        sentences.append(
-            f"{100 * share:.0f} %{span} {'of it comes' if place else 'comes'} from the {cause}"
-            + (f"; {advice}" if advice else "")
-        )
+        sentences.append(f"{100 * share:.0f} %{span} comes from the {cause}" + (f"; {advice}" if advice else ""))
     return sentences
 
 
