@@ -12,7 +12,7 @@ from warpcrete import scenes
 from warpcrete.mps.free.quantities import expected
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.mps.part.quantities import QUANTITIES as PART_QUANTITIES
-from warpcrete.suspension import quantities
+from warpcrete.suspension import pictures, quantities
 from warpcrete.suspension.part.quantities import OF_THEORY, SuspensionData
 from warpcrete.suspension.part.quantities import QUANTITIES as WITH_AGGREGATES
 from warpcrete.suspension.stretch.quantities import QUANTITIES, RunData
@@ -86,3 +86,27 @@ def test_the_pressure_over_a_stretch_contains_the_weight_of_the_placed_aggregate
     assert found["wall_stress_theory"](known) == pytest.approx(0.04 / 2 * 1500, rel=1e-12)
     scene.mean_velocity = None  # A given pressure gradient has no pressure to find.
     assert found["pressure"](known) is None and found["pressure_theory"](known) is None
+
+
+def test_the_figure_of_a_vessel_shows_the_aggregates_inside(monkeypatch):
+    """Three aggregates, one of which has left the vessel; about an axis, circles lie at their distance from it."""
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.figure import Figure
+
+    def empty(run):
+        figure = Figure()
+        figure.subplots(2, 1)
+        return figure
+
+    monkeypatch.setattr(pictures, "plot_free", empty)
+    bodies = SimpleNamespace(
+        position=np.array([[0.03, 0.04, 0.1], [0.0, 0.06, 0.2], [1e6, 0.0, 0.0]]), size=np.array([0.02, 0.03, 0.02]),
+        inside=np.array([True, True, False]),
+    )  # fmt: skip
+    run: Any = SimpleNamespace(scene=SimpleNamespace(about_axis=True, round=True), bodies=bodies)
+    axes = pictures.plot_with_aggregates(run).axes[0]
+    (circles,) = (each for each in axes.collections if isinstance(each, EllipseCollection))
+    assert circles.get_offsets() == pytest.approx(np.array([[50.0, 100.0], [60.0, 200.0]]))
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["2 simulated aggregates"]
+    del run.bodies
+    assert not pictures.plot_with_aggregates(run).axes[0].collections

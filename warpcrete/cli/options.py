@@ -163,7 +163,7 @@ def run_options() -> list[click.Parameter]:
                      help="IP address that the viewer of --live listens on"),
         click.Option(["--frames"], type=AmountOption("1/s"),
                      help="Recorded frames per simulated second; at most one per sample, or for flows one per step  "
-                     "[default: 25, but at least 30 per run]"),
+                     "[default: 25, but at least 30 in the planned duration]"),
         click.Option(["--colour"], type=click.Choice(colourings),
                      help="Colour of aggregates (force, speed, size) or of a flow (speed, pressure, phase, shear)  "
                      "[default: force for aggregates; for flows shear with a free surface, phase with two phases, "

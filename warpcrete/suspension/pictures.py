@@ -35,8 +35,9 @@ def plot_with_aggregates(run: Run) -> Figure:
         EllipseCollection(
             size, size, np.zeros(len(size)), units="xy", offsets=np.stack([along, place[:, 2]], 1),
             offset_transform=shape.transData, facecolor=(*colour, 0.5), edgecolor=colour, linewidth=0.5,
-            label=f"{len(size)} simulated aggregates",
         )
     )  # fmt: skip
+    # A legend has no symbol for a collection of circles, so that an empty curve supplies it.
+    shape.plot([], [], "o", color=colour, label=f"{len(size)} simulated aggregates")
     legend_above(shape)
     return figure
