@@ -62,7 +62,7 @@ class AggregateRun(FlowRun):
 
     flow: SuspensionFlow
     method = "suspension"
-    drawn_by: ClassVar[type[SphereDisplay]]
+    drawn_by: ClassVar[type[SphereDisplay]]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def result(self, finished: bool) -> SuspensionRun:
         """Return the results of the run so far: its time series, quantities, tables and aggregates.
