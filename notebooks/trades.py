@@ -64,8 +64,9 @@ def section(name: str, record: dict, figure: bool = True) -> str:
            for quantity, error in record.get("reference_errors", {}).items()]  # fmt: skip
     time = record["points"][0]["time"]["value"]
     error = f" Even the finest setting has an estimated error of {' and '.join(own)}." if own else ""
-    table = f"The command `{command}` made this table" if how else f"This table is for the simulation `{command}`"
-    lines = [f"{table}. A run with unchanged settings takes {time:.3g} s on {record['machine']}.{error}", ""]
+    table = f"This table was measured with `{command}`" if how else f"This table is for the simulation `{command}`"
+    machine = f"on this machine: {record['machine']}"
+    lines = [f"{table}. One run with unchanged settings took {time:.3g} s {machine}.{error}", ""]
     lines += [f"![Error over computing time: {name}](../images/trade_{name}.png)", ""] if figure else []
     lines += ["| error wanted | setting | relative time | guaranteed error | with new random packings "
               "| largest error in other simulations |", "|---|---|---|---|---|---|"]  # fmt: skip

@@ -20,7 +20,8 @@ first BLOCK list entries are in `spheres.touching`, and the bits of later entrie
 MASKED_ENTRIES: int = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 
-A row with more entries is rare: a large sphere among small spheres has about a hundred neighbours.
+The row of a sphere lists its neighbours. A row with more entries is rare, because even a large sphere among small
+spheres has only about a hundred neighbours.
 """
 
 

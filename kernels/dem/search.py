@@ -27,7 +27,11 @@ way in every kernel.
 
 @functools.cache
 def find_function(scalar, half: bool):
-    """Return the function `find`, which finds a pair's list entry; a half list may contain it at either sphere."""
+    """Return the function `find`, which finds the entry of a pair of spheres in the neighbour list.
+
+    A full list contains each pair twice, once in the row of each sphere. If `half` is true, the list contains each pair
+    only once, in the row of one of the two spheres, so `find` searches both rows.
+    """
     Pairs = array_structs(scalar).Pairs
     read_int = row_functions(scalar).read_int
 

@@ -77,7 +77,8 @@ def scene_struct(scalar):
         interval: wp.int32  # steps between two estimates of the stable step
         sort_every: wp.int32  # steps between two re-sortings of the bodies; 0: never
 
-        # largest speed in the scene that is expected before the next stable step estimate [m/s]
+        # largest speed [m/s] that walls and gravity are expected to cause in the scene before the stable step is
+        # estimated again
         expected_speed: wp.float64
         wall_stiffness: wp.float64  # lower bound of the stiffness of the contacts on a driven wall [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
@@ -309,7 +310,8 @@ def links_struct(scalar):
         # Near links, which are the listed pairs of spheres that may touch soon. Each one holds four indices in the
         # arrays of the batch: the two spheres, the pair's entry in the neighbour list, and the link. Shape (links,).
         near: wp.array(dtype=wp.vec4i)
-        # number of near links, then 1 if any scene must check all its links, else 0, shape (2,)
+        # Two integers, shape (2,). The first is the number of near links. The second is a flag: 1 if at least one scene
+        # must check all its links instead of only its near links, and 0 otherwise.
         near_count: wp.array(dtype=wp.int32)
         # `near_list_exceeded` is 1 for a scene whose near links (listed pairs of spheres that may touch soon) may miss
         # a contact, for example because a sphere has moved far. Otherwise it is 0. Shape (scenes,).

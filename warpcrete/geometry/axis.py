@@ -169,7 +169,8 @@ class Axis:
     def along(self, points: np.ndarray) -> np.ndarray:
         """Return the arc length [m] of the point of the axis nearest to each of `points` (n, 3), shape (n,).
 
-        Points nearest to the extension before the start of the axis have a negative arc length.
+        The arc length is counted from the start of the axis. Both ends of the axis are extended by unlimited straight
+        lines. A point nearest to the line before the start therefore has a negative arc length.
         """
         points = np.atleast_2d(np.asarray(points, dtype=float))
         rows = self.parametrised()

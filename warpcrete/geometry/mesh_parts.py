@@ -78,8 +78,8 @@ def bore_of(
     """
     check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    # `_measured` compares the size of the mesh with the required length before it follows the bore, because a mesh in a
-    # wrong unit of length could not be followed. `_of_length` compares the exact length afterwards.
+    # `_measured` first compares the size of the mesh with the required length, because it could not follow the bore of
+    # a mesh that is far too large or small (wrong unit of length). `_of_length` later compares the exact length.
     bore = _measured(fields, file, scale, digest, length, tuple(ways))
     _check_scale(fields[1], scale, bore.ends[0])
     bore = _of_length(fields, bore, length)

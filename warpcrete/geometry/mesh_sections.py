@@ -22,10 +22,10 @@ MIN_ADVANCE = ADVANCE / 16
 """Smallest distance between neighbouring cross-sections in the search along a bore, divided by the bore's radius. A
 bore that cannot be followed by this distance has ended."""
 MAX_ROTATIONS, ROTATION_FRACTION = 6, 0.4
-"""Constants of the iteration that turns a new cross-section until it is perpendicular to the bore.
+"""Constants of the search for the direction of a new cross-section, which must be perpendicular to the bore.
 
-The first is the number of repetitions. The second is the fraction of the remaining angle by which each repetition turns
-the cross-section.
+The search turns the cross-section several times. MAX_ROTATIONS is the number of turns, and ROTATION_FRACTION is the
+fraction of the remaining angle that each turn covers.
 """
 MAX_TURN_PER_STEP = 0.6
 """Largest accepted angle between the directions of neighbouring cross-sections of a bore [rad]."""
@@ -211,10 +211,11 @@ def _next_section(
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
     """Return the centre [m], radius [m] and direction of the next cross-section of a bore, or None if there is none.
 
-    The cross-section lies about one `step` [m] beyond the last of `points`. It is turned until it is perpendicular to
-    the parabola through its own centre and two earlier centres. In a conical bore, the centre of a tilted cross-section
-    is displaced from the axis by up to the radius times the slope of the wall. The iteration therefore converges only
-    if each repetition turns the cross-section by a fraction of the remaining angle.
+    The cross-section lies about one `step` [m] beyond the last of `points`. The function turns it several times and
+    measures its centre again each time, so that it becomes perpendicular to the parabola through its own centre and two
+    earlier centres. In a conical bore, the centre of a tilted cross-section is displaced from the axis by up to the
+    radius times the slope of the wall. The turns therefore converge only if each of them covers a fraction of the
+    remaining angle.
     """
     way, section = tangent, None
     place = points[-1] + step * tangent

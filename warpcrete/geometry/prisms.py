@@ -32,10 +32,11 @@ class Solid:
         return np.concatenate([self.sides, self.ends])
 
     def without(self, *edges: int) -> np.ndarray:
-        """Return the faces of the solid without some of its n sides, shape (4 n - 2 len(edges), 3).
+        """Return the triangles of the solid without some of its n lateral faces, shape (4 n - 2 len(edges), 3).
 
-        Each side stands on one edge of the ring of corners. `edges` holds the indices of the edges whose sides are left
-        out; edge 0 begins at corner 0.
+        A lateral face joins an edge of the first ring of corners to the same edge of the second ring, and consists of
+        two triangles. `edges` holds the indices of the edges whose lateral faces are left out. Edge k of a ring leads
+        from corner k to the next corner. The triangles at the two ends of the solid are always included.
         """
         left = np.delete(self.sides.reshape(-1, 2, 3), list(edges), axis=0).reshape(-1, 3)
         return np.concatenate([left, self.ends])

@@ -130,7 +130,8 @@ def read_layer(given: object, folder: Path) -> Layer:
             if key not in given:
                 example = f"for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'"
                 raise SceneError(
-                    f"mix layer: {key}: is missing; add the {key} of the pipe with the measured points, {example}"
+                    f"mix layer: {key}: is missing; add the {key} of the pipe in which the points were measured, "
+                    f"{example}"
                 )
             lengths[key] = amount(f"mix layer: {key}", given[key], "m")
             positive(f"mix layer: {key}", lengths[key], "m")

@@ -43,8 +43,8 @@ class LoadedRun(Run):
             f"their recorded frames are in {' and '.join(files)}" if files else "the folder has no recording of them"
         )
         raise AttributeError(
-            f"bodies: a run folder does not hold the final bodies as a table; {there}; "
-            "warpcrete.Simulation(scene).run() returns a run with bodies"
+            f"bodies: a run that was read from a folder has no table of final bodies; {there}; run the scene again "
+            "with warpcrete.Simulation(scene).run(), which returns a run with bodies"
         )
 
 

@@ -46,7 +46,7 @@ class Prototype:
     radii: np.ndarray
     """Radii of the clump's spheres divided by the body's size, shape (k,)."""
     extent: float
-    """Largest distance of the clump's surface from its centroid, divided by the body's size."""
+    """Distance from the clump's centroid to the farthest point of its surface, divided by the body's size."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from ..inputs.origin import changed_fields
 
 def html_table(rows: Iterable[Sequence[object]], head: Sequence[object] = (), caption: str = "") -> str:
     """Return rows of cells as an HTML table, with an optional header row and caption."""
-    from html import escape  # A pump line's answer in a terminal needs no HTML, whose import takes 2 ms.
+    # Import `html` only here. The import takes 2 ms, and commands that print to a terminal do not need it.
+    from html import escape
 
     lines = [f'<caption style="text-align: left">{escape(caption)}</caption>'] if caption else []
     if head:

@@ -82,9 +82,10 @@ class ByName(CompositeRule):
         return hash(tuple(self.classes.items()))
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the parameters that belong to the object `value`, by name: the fields of the object's class.
+        """Return the scene parameters that set the fields of the object `value`, by parameter name.
 
-        `value` may also be the name of the class.
+        `value` is an object of one of the allowed classes, or the name of such a class. The class has one parameter for
+        each of its fields; the result is empty if the parameter accepts no such class.
         """
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)

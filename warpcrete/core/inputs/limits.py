@@ -175,7 +175,8 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits of all quantities in one unit are too wide to show which unit was meant.
     if written_text(value) or not 1e-2 <= value <= 1e6:
-        return ""  # A negative, very small or very large number does not result from a wrong unit, so suggest none.
+        # The user wrote a unit, or the number is negative or so small or large that no other unit can explain it.
+        return ""
     possible = [
         other for other, factor in UNITS.get(unit, {}).items() if factor != 1.0 and low <= value * factor <= high
     ]

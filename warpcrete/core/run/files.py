@@ -21,7 +21,7 @@ PARTIAL = ".warpcrete-partial-"
 PROBE_SIZE = 1 << 16
 """Size of the test file that is written to find out whether the disk of a folder is full [B]."""
 SPACE_MARGIN = 1 << 20
-"""Free space that must remain in addition to the expected size of a file [B]."""
+"""Free disk space that must be left after a file of the expected size has been written [B]."""
 
 
 @contextmanager

@@ -209,8 +209,9 @@ class Run:
             _copy_folder(self.folder, output.path)
         elif self.final_state is None:
             raise WarpcreteError(
-                f"save: the run of scene {self.scene.name!r} kept no final state, because its state is large or it "
-                "has no samples; run it again with warpcrete.Simulation(scene, out=FOLDER)"
+                f"save: the run of scene {self.scene.name!r} kept no final state, because the simulation used more "
+                "than 2 GB of memory or ended before the first row of its time series; run the scene again with "
+                "warpcrete.Simulation(scene, out=FOLDER)"
             )
         else:
             final, finished, ended = self.final_state, self.finished, self.result["ended"]

@@ -151,7 +151,8 @@ def check_object(law: Any) -> None:
 def packing_law(law: Any, kind: type) -> Any:
     """Return the contact law for packing, which the method `frictionless` of a user's contact law returns.
 
-    `kind` is the base class of contact laws. Raises :class:`SceneError` if the method fails or returns anything else.
+    `kind` is the base class of all contact laws. Raises :class:`SceneError` if `frictionless` is not a method, if it
+    fails, or if it returns an object that is not a contact law.
     """
     name = f"{type(law).__name__}.frictionless"
     if not callable(law.frictionless):

@@ -40,7 +40,10 @@ QUANTITIES = (
     Quantity("blocked_chains", "1", _of("chains"),
              meaning="Number of networks of strong contacts that span the pipe at the blockage", only_if=BLOCKED),
 )  # fmt: skip
-"""Quantities of a blocked pipe. The mean of `blocked` over several seeds is the probability of a blockage."""
+"""Results of a run that describe whether, when and how the pipe was blocked by concrete.
+
+The result `blocked` is 1 or 0, so its mean over runs with different seeds estimates the probability of a blockage.
+"""
 
 
 def _finite(value: float) -> float | None:

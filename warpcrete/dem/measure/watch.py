@@ -87,9 +87,9 @@ class Watch:
             raise unstable(
                 time,
                 fastest_body(self.model, self.state),
-                f"energy grew by {free - self.least:.3g} J without work of a wall or drive, which is "
+                f"energy grew by {free - self.least:.3g} J without work of a wall or drive; this increase is "
                 f"{(free - self.least) / max(self.scale, 1e-300):.2g} of the largest energy in the scene so far; the "
-                f"limit is watch.energy = {limits.energy:g}",
+                f"limit of this fraction is watch.energy = {limits.energy:g}",
                 scene=self.model.scene,
             )
 

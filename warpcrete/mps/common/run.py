@@ -28,7 +28,11 @@ class FlowRun(Simulation):
 
     flow: Any
     goal: ClassVar[str] = "steady"
-    """Name of the entry of a run's result that states whether the flow became steady or came to rest."""
+    """Name of the entry of a run's result that is true if the flow reached its final state.
+
+    The entry `steady` is true if the flow became steady. For a flow with a free surface, the entry is `at_rest`, which
+    is true if the concrete came to rest.
+    """
     method: ClassVar[str] = "mps"
     """Name of the simulation method in the run's result."""
     columns: ClassVar[Mapping[str, str]]

@@ -73,8 +73,8 @@ def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, in
             along = two - one
             part = np.clip((x - one) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
             nearest = np.minimum(nearest, np.linalg.norm(x - one - part[:, None] * along, axis=1))
-            # A point is inside if a ray to the right crosses an odd number of sides. A side is crossed if one of its
-            # ends lies above the ray and the other below.
+            # A point lies inside the polygon if a horizontal ray from the point to the right crosses an odd number of
+            # the polygon's sides. The height of the ray must lie between the heights of the two ends of such a side.
             crosses = (one[1] > x[:, 1]) != (two[1] > x[:, 1])
             rise = along[1] if along[1] else 1.0
             inside ^= crosses & (x[:, 0] < one[0] + (x[:, 1] - one[1]) * along[0] / rise)

@@ -40,7 +40,7 @@ class ModelError:
     """Lowest and highest friction of one kind of part, divided by the friction of straight pipe of the same length."""
 
     cause: str
-    """Name under which this kind of part appears among the causes of a pressure's uncertainty, such as 'bends'."""
+    """Plural name of the kind of part, such as 'bends'. Tables of the causes of a pressure's uncertainty show it."""
     low: float
     high: float
     source: str
@@ -68,7 +68,8 @@ def methods_on_bends(customary: bool = False) -> str:
     return (
         "In simulations as a fluid, a bend of 90 degrees has 2 to 13 % more friction than straight pipe of its length. "
         f"With stones, it has the same friction for a radius of {wide} or more, and 1.5 times as much for {tight}. "
-        "Therefore count a bend as straight pipe of its length, and allow for up to three times its friction."
+        "Therefore calculate a bend as straight pipe of its length, but also check the line with three times this "
+        "friction."
     )
 
 

@@ -14,7 +14,10 @@ from .line_folder import PARTS
 
 
 def check_known(known: Path | None) -> None:
-    """Raise an error if `known` is not the folder of a line with simulated parts, whose runs can be reused."""
+    """Raise an error unless the folder `known` contains the simulated parts of an earlier pump line.
+
+    The runs in such a folder can be reused. If `known` is None, no folder was given, and there is nothing to check.
+    """
     if known is not None and not (known / PARTS).is_dir():
         hint = "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'"
         refuse("known", str(known), "is not the folder of a line with simulated parts", hint)

@@ -37,8 +37,9 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
     def set_up(self) -> None:
         """Start with an empty time series."""
         super().set_up()
-        # Stations, losses and fractions of aggregates along the part for each row of the time series, and the arc
-        # lengths of the aggregates in the last row.
+        # `_profiles` holds one array for each row of the time series: the arc lengths of stations along the part, and
+        # the pressure loss and the fraction of aggregates at each station. `_places` holds the arc lengths of the
+        # aggregates at the last row.
         self._profiles: list[np.ndarray] = []
         self._places = np.zeros(0)
 
