@@ -131,7 +131,7 @@ def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatc
         study.failures["b"] = "it burst"
         study.not_at_fault = {"b"} if kind == "lost" else set()
     if kind == "suspect":
-        study.results["b"] = {"checks": {"balance": {"passed": False}}}
+        study.results["b"] = {"checks": {"balance": {"passed": False, "found": "5 %"}}}
     monkeypatch.setattr(CLI["study"], "_new_study", lambda *given: study)
     code = 0
     try:
@@ -143,4 +143,4 @@ def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatc
     assert (f"continue with: {again}" in said) == (kind == "open")
     assert (f"repeat b with: {again}" in said) == (kind == "lost")
     assert ("failed: b: it burst" in said) == (kind in ("failed", "lost"))
-    assert ("checks of 1 of 2 cases: b (balance)" in said) == (kind == "suspect")
+    assert ("\n  balance, in 1 case (b); the first one: 5 %\n" in said) == (kind == "suspect")

@@ -6,7 +6,6 @@ types of contact laws, bonds or clumps.
 
 from __future__ import annotations
 
-import time as wall_clock
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from ..core.device.device import MEMORY_FRACTION, memory_free, parallel
+from ..core.device.kernel_files import run_clock
 from ..core.device.launching import report_compiling
 from ..core.errors import WarpcreteError
 from ..core.inputs.fingerprints import fingerprint
@@ -246,7 +246,7 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
         kinds.setdefault((str(s.device), s.precision, s.threads), []).append(key)
     results_by_key: dict[tuple, tuple[Any, float]] = {}
     for (_, precision, threads), keys in kinds.items():
-        started = wall_clock.perf_counter()
+        started = run_clock()
         scenes = [needed[k].scene for k in keys]
         requests = [Request(scene.fill, scene.contact, scene.seed) for scene in scenes]  # type: ignore[arg-type]
         results: list[Any] = []
@@ -258,7 +258,7 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
                 threads=threads,
                 progress=tell,
             )
-        took = (wall_clock.perf_counter() - started) / len(keys)
+        took = (run_clock() - started) / len(keys)
         results_by_key |= {key: (result, took) for key, result in zip(keys, results)}
     return results_by_key
 

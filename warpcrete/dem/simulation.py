@@ -1,11 +1,11 @@
 """Discrete element simulation from scene to finished run, on top of the run loop of `core`."""
 
-import time as wall_clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
+from ..core.device.kernel_files import run_clock
 from ..core.records import Record, SavedState
 from ..core.run.coroutines import Coroutine, Until, run_coroutine
 from ..core.run.method import results_of
@@ -88,7 +88,7 @@ class ElementSimulation(Simulation):
     def prepare(self) -> None:
         """Prepare the state at t = 0: pack, place bodies, bond body groups, settle, and bond contacts."""
         scene = self.scene
-        started = wall_clock.perf_counter()
+        started = run_clock()
         self.tell("packing", 0.0)
         packed = None
         if scene.fill is not None:
@@ -101,7 +101,7 @@ class ElementSimulation(Simulation):
                 progress=lambda fraction: self.tell("packing", fraction),
                 threads=self.threads,
             )
-        self.place(packed, wall_clock.perf_counter() - started)
+        self.place(packed, run_clock() - started)
         self.join(Stepper(self.model, self.state, scene.time_step, threads=self.threads))
         run_coroutine(self.preparing(), self.stepper.advance)
 
@@ -138,12 +138,12 @@ class ElementSimulation(Simulation):
                 self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
             self.stepper.choose_dt()  # Raise the error for an unstable step before any file is written.
 
-        started = wall_clock.perf_counter() - self.wall_times.phases.get("settling", 0.0)
+        started = run_clock() - self.wall_times.phases.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
             with self._walls_held():
                 yield from self._settling(scene.settle.duration)
             self.stepper.change(local_damping=scene.local_damping)
-        self.wall_times.phases["settling"] = wall_clock.perf_counter() - started
+        self.wall_times.phases["settling"] = run_clock() - started
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
@@ -165,13 +165,13 @@ class ElementSimulation(Simulation):
             self.stepper.change(held=0)
 
     def _settling(self, duration: float) -> Coroutine:
-        before, begun = self.wall_times.phases.get("settling", 0.0), wall_clock.perf_counter()
+        before, begun = self.wall_times.phases.get("settling", 0.0), run_clock()
         if self._settled is None:
             self._settled = 0
             self._checkpoint()
         for part in range(self._settled, SETTLING_PARTS):
             self._settled = part
-            self.wall_times.phases["settling"] = before + wall_clock.perf_counter() - begun
+            self.wall_times.phases["settling"] = before + run_clock() - begun
             if self.stop_requested:
                 self._checkpoint()
                 raise KeyboardInterrupt

@@ -1,6 +1,8 @@
-"""Files of the compiled kernels that a block of code uses, and errors in reading or writing these files."""
+"""Files of compiled kernels: which ones a block of code uses, errors in using them, and the time to make them."""
 
 import errno
+import threading
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +30,29 @@ def kernel_files() -> Generator[set[Path]]:
     finally:
         _open_blocks[:] = [each for each in _open_blocks if each is not modules]
         files |= {Path(code.binary_path) for each in modules for code in each.execs.values() if code.binary_path}
+
+
+class _Loading(threading.local):
+    seconds = 0.0
+    """Wall time in which this thread has compiled or loaded kernels [s]."""
+
+
+_loading = _Loading()
+
+
+def run_clock() -> float:
+    """Return a reading of the wall clock [s] that stands still while this thread compiles or loads kernels."""
+    return time.perf_counter() - _loading.seconds
+
+
+@contextmanager
+def stop_run_clock() -> Generator[None]:
+    """Stop the clock of this thread, :func:`run_clock`, inside the `with` block, which compiles or loads kernels."""
+    begun = run_clock()
+    try:
+        yield
+    finally:
+        _loading.seconds += run_clock() - begun
 
 
 @contextmanager

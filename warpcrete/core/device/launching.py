@@ -22,7 +22,7 @@ from .cores import CoreContention, thread_pinner
 from .device import default_threads, parallel
 from .graphs import GraphLaunch, captured
 from .interrupts import defer_interrupts
-from .kernel_files import kernel_cache_errors, note_use
+from .kernel_files import kernel_cache_errors, note_use, stop_run_clock
 
 PARALLEL_COMPILATIONS = 16
 """Maximum number of kernels compiled in parallel."""
@@ -89,6 +89,8 @@ def launch(kernel: Kernel, dim: Size, device: wp.Device, **named: object) -> Non
     """Launch `dim` tasks of a kernel once; `named` holds the kernel's arguments by parameter name."""
     if tasks_of(dim):
         note_use(kernel.module)
+        if not kernel.module.execs:
+            load([kernel], device)
         launch_kernel(kernel, dim=dim, inputs=bound(kernel, named), device=device)
 
 
@@ -198,11 +200,12 @@ def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
                 tell("compiling", 1.0 - len(left) / count)
 
     others = [_compilers().submit(work) for _ in range(min(PARALLEL_COMPILATIONS, default_threads(), len(left)) - 1)]
-    try:
-        work()
-    finally:
-        left.clear()
-        wait(others)
+    with stop_run_clock():
+        try:
+            work()
+        finally:
+            left.clear()
+            wait(others)
     for other in others:
         other.result()
     if reported and (tell := _compile_callback.get()) is not None:

@@ -357,7 +357,7 @@ class Simulation(CheckpointedSimulation):
             if number < samples:
                 self._checkpoint_if_due()
             figures = {name: row[name] for name in ("pressure",) if name in row}
-            if self.wall_times.has_pace:  # Before the second new row, the rate would include the time to compile.
+            if self.wall_times.has_pace:  # Before the second new row, the rate would include recording the launches.
                 figures["steps_per_s"] = self.pace
             if self.may_end_early:
                 figures["at_most"] = 1.0
@@ -391,7 +391,7 @@ class Simulation(CheckpointedSimulation):
 
     @property
     def pace(self) -> float:
-        """Mean number of time steps per second of wall time, without preparation (see :meth:`WallTimes.pace`)."""
+        """Mean number of time steps per second of wall time, after the first row (see :meth:`WallTimes.pace`)."""
         return self.wall_times.pace(self.stepper.steps)
 
     def tell(self, phase: str, fraction: float, **figures: float) -> None:

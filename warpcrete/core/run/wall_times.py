@@ -3,19 +3,24 @@
 import time
 from collections.abc import Mapping
 
+from ..device.kernel_files import run_clock
+
 
 class WallTimes:
-    """Wall times of a run. A resumed run adds its own time to the time in the checkpoint."""
+    """Wall times of a run, without the time to compile or load kernels.
+
+    A resumed run adds its own time to the time in the checkpoint.
+    """
 
     def __init__(self) -> None:
         self.phases: dict[str, float] = {}
         """Wall time of each completed phase of the run [s], by the phase's name, such as "packing"."""
         # Wall-clock time at which the last checkpoint was written or read [s].
         self._saved_at = time.perf_counter()
-        self._started: float | None = None  # Wall-clock time at which this process began to run the simulation [s].
+        self._started: float | None = None  # Time of the run clock at which this process began to run [s].
         # Wall time that a resumed run had taken before its checkpoint was written [s].
         self._before_resume = 0.0
-        # Steps taken and wall-clock time [s] at the first and at the last new row after the start of this process.
+        # Steps taken and time of the run clock [s] at the first and at the last new row of this process.
         self._rows: tuple[tuple[int, float], tuple[int, float]] | None = None
 
     def restore(self, phases: Mapping[str, float]) -> None:
@@ -26,7 +31,7 @@ class WallTimes:
 
     def start(self) -> None:
         """Record that the simulation begins to run now."""
-        self._started = time.perf_counter()
+        self._started = run_clock()
 
     def note_checkpoint(self) -> None:
         """Record that a checkpoint has been written or read now."""
@@ -34,7 +39,7 @@ class WallTimes:
 
     def note_row(self, steps: int) -> None:
         """Record that the time series has a new row now, after `steps` time steps of the run."""
-        now = (steps, time.perf_counter())
+        now = (steps, run_clock())
         self._rows = (self._rows[0] if self._rows else now, now)
 
     @property
@@ -44,19 +49,19 @@ class WallTimes:
 
     @property
     def running(self) -> float:
-        """Wall time that the run has taken up to now, without its preparation [s]."""
-        return self._before_resume + (0.0 if self._started is None else time.perf_counter() - self._started)
+        """Wall time that the run has taken since t = 0, up to now [s]."""
+        return self._before_resume + (0.0 if self._started is None else run_clock() - self._started)
 
     @property
     def has_pace(self) -> bool:
-        """True if this process has added at least two rows, so that the pace leaves out preparation."""
+        """True if this process has added at least two rows, so that the pace begins at the first one."""
         return self._rows is not None and self._rows[0] != self._rows[1]
 
     def pace(self, steps: int) -> float:
         """Return the mean number of time steps per second of wall time, in this process.
 
-        The mean excludes the time up to the first new row of the time series, which includes preparation and
-        compilation. If this process has added fewer than two rows, return the mean over all `steps` of the run.
+        The mean excludes the time up to the first new row of the time series, in which the launches of kernels are
+        recorded. If this process has added fewer than two rows, return the mean over all `steps` of the run.
         """
         if self._rows is not None and self.has_pace:
             (first, begun), (last, ended) = self._rows
