@@ -48,7 +48,8 @@ class Arc:
 class Axis:
     """Centreline of a pipe: a start point [m], a unit tangent at this point, and a sequence of lines and arcs.
 
-    Beyond both ends, the axis continues as an unlimited straight line, so that an exact pipe surface has no end caps.
+    Beyond each end, the axis continues as an unlimited straight line. A :class:`.PipeWall` along the axis therefore has
+    no end caps.
     """
 
     start: tuple[float, float, float]
@@ -105,8 +106,8 @@ class Axis:
     def flattened(self, allowed: float) -> "Axis":
         """Return this axis with all bends in one plane, if this moves no point by more than `allowed` [m].
 
-        Otherwise, the result is this axis. An axis measured from a mesh has bends whose planes differ slightly, even if
-        the pipe bends in one plane.
+        If a point would move further, the result is the unchanged axis. The function serves axes that were measured
+        from a mesh: their bends lie in slightly different planes, even if the real pipe bends in one plane only.
         """
         hinges, tangent = self.hinges(), np.array(self.tangent)
         if len(hinges) == 0:
@@ -199,7 +200,8 @@ class Axis:
     def projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of the axis nearest to `points` (n, 3), and their arc lengths.
 
-        Both are in metres, with shapes (n, 3) and (n,); they equal the results of :meth:`nearest` and :meth:`along`.
+        The points have the shape (n, 3) [m], as in :meth:`nearest`, and the arc lengths have the shape (n,) [m], as in
+        :meth:`along`.
         """
         s = self.along(points)
         return self.at(s)[0], s

@@ -13,8 +13,8 @@ from .axis import Arc, Axis
 FACETS = 32
 """Default number of facets around the circumference of a pipe whose wall is a mesh of triangles."""
 VOLUME_SAMPLES = 400
-"""Number of arc lengths at which the volume of a pipe, from its start up to each arc length, is tabulated. The table
-serves to find the arc length before which a given fraction of the whole volume lies."""
+"""Number of entries in a table of the pipe's volume from its start up to an arc length. :meth:`Bores.spread` uses the
+table to find the arc length up to which the pipe contains a given fraction of its volume."""
 
 
 @dataclass(frozen=True)

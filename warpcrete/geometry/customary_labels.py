@@ -45,7 +45,7 @@ def _labelled(part: Part, label: str) -> Part:
 
 
 def _written(stated: object, size: float, unit: float, name: str) -> str:
-    """Return the text `stated` if it has a customary unit; otherwise the `size` [m] in the unit called `name`.
+    """Return the text `stated` if its unit is a customary US unit; otherwise the `size` [m] as text in the unit `name`.
 
     `unit` is the length of this unit [m].
     """

@@ -17,8 +17,8 @@ DIRECTIONS_AROUND = 24
 MAX_SECTIONS, MAX_AROUND = 1000, 240
 """Largest numbers of cross-sections, and of points around each, at which a bore is compared with its mirror image."""
 INSET = 1e-3
-"""Smallest distance between a cross-section and a rim or lid of the mesh, divided by the pipe's radius. Rays exactly at
-a rim or lid may miss the wall."""
+"""Smallest distance from a rim or lid of the mesh at which a cross-section is measured, divided by the pipe's radius.
+Measuring rays exactly at a rim or lid may miss the wall."""
 MAX_SHORTFALL = 0.02
 """Largest accepted length by which a mesh is shorter than its pipeline part, divided by the pipe's radius."""
 LID_COSINE, LID_DISTANCE = 0.9, 0.1
@@ -29,10 +29,10 @@ must also lie beyond the end of the pipe, or before the end at a distance of at 
 radius.
 """
 VISIBILITY_TOLERANCE = 1e-3
-"""Largest distance between a facet and a surface in front of it, divided by the pipe's radius, at which the surface
-does not count as hiding the facet."""
+"""Distance up to which a surface in front of a facet does not count as hiding the facet from the axis, divided by the
+pipe's radius."""
 OFFSET = 1e-4
-"""Distance from a facet of two points, one on each side, at which the visibility of the facet is tested.
+"""Distance between a facet and each of the two points, one on either side, from which its visibility is tested.
 
 The distance is divided by the pipe's radius.
 """
@@ -165,9 +165,10 @@ class InnerSurface:
         return float(self._queries.distances(hit - 2 * beside[:, None] * normal).max(initial=0.0))
 
     def _inside(self, s: np.ndarray) -> np.ndarray:
-        """Return the arc lengths `s` [m], limited to a range that keeps a small distance from the ends of the mesh.
+        """Return the arc lengths `s` [m], moved to a small distance from the ends of the mesh if they are nearer.
 
-        This is necessary because rays exactly at a rim or a lid may miss the wall.
+        Arc lengths beyond an end of the mesh are moved as well. Measuring rays exactly at a rim or a lid may miss the
+        wall.
         """
         low, high = max(self.begin, self._low), min(self.end, self._high)
         inset = min(INSET * self._radius, 0.25 * (high - low))
@@ -205,7 +206,8 @@ class InnerSurface:
     def _rim(self, closed: float, beyond: float) -> float:
         """Return the arc length [m] of the rim at which the mesh ends, by bisection between two arc lengths.
 
-        At `closed` [m], the wall surrounds the axis completely; `beyond` [m] lies at the rim or outside the mesh.
+        The rim lies between the two arc lengths: at `closed` [m], the wall surrounds the axis completely, and `beyond`
+        [m] lies at the rim or outside the mesh.
         """
         if not np.any(self._wall_distances(np.array([beyond])) < 0):
             return beyond
@@ -221,8 +223,8 @@ class InnerSurface:
     def _closes(self, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Return whether each facet is part of a lid, which closes an end of the pipe, shape (f,), bool.
 
-        A facet is part of a lid if it lies across the axis, near an end of the pipe or beyond. `middles` are the
-        centres of the facets [m], and `normals` are their unit normals, shape (f, 3) each.
+        A facet is part of a lid if it is roughly perpendicular to the axis, and lies near an end of the pipe or beyond
+        it. `middles` are the centres of the facets [m], and `normals` are their unit normals, shape (f, 3) each.
         """
         s = self.axis.along(middles)
         tangents = self.axis.at(s)[1]

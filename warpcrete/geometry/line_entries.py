@@ -89,7 +89,7 @@ MOST_PARTS, MOST_POINTS = 2000, 500
 concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 OTHER_BEGINS = {"horizontal": "level", "vertical": "up", "upwards": "up", "downwards": "down"}
-"""Words that users write instead of a direction in :data:`BEGINS`, with the direction."""
+"""Words that users write instead of the directions in :data:`BEGINS`, each with the direction that it stands for."""
 WAYS = ("up", "down", "left", "right", "level", "back")
 BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
 """Default radius of a bend: the larger of BEND_RADIUS [m] and BEND_DIAMETERS times the pipe's diameter. The rule of the

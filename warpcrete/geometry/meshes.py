@@ -24,9 +24,9 @@ if TYPE_CHECKING:  # Import trimesh only when a mesh is read, because the import
 FARTHEST_WALL = 10.0
 """Length of the rays that search for a pipe's wall, divided by the pipe's radius."""
 FAN_ROTATION, RETRY_ROTATION = 0.382, 0.1
-"""Two rotations of a fan of rays, each divided by the angle between two neighbouring rays. Every fan is turned by the
-first rotation, which keeps the rays away from the edges of regular tubes. If a ray meets no wall, the fan is turned
-further by the second rotation and tried again."""
+"""Two rotations of a fan (rays from one point in equally spaced directions), each divided by the angle between two
+neighbouring rays. Every fan is turned by the first rotation, which keeps the rays away from the edges of regular tubes.
+If a ray meets no wall, the fan is turned further by the second rotation and tried again."""
 ROUNDNESS_TOLERANCE = 0.01
 """Largest difference between the radius of a cylinder and the distance of a bore's wall from the axis at which the bore
 still counts as cylindrical, as a fraction of the cylinder's radius."""

@@ -19,7 +19,8 @@ from .mesh_parts import WAYS, Way, bore_of
 from .pipe_line import PipeLine
 
 IN_BENDS = Needs("unit", lambda unit: unit.startswith("bend"), "is a bend", refused=False)
-"""Rule for the dimensions of a bend, which have no effect unless the parameter `unit` names a bend."""
+"""Rule for scene parameters that are dimensions of a bend: they have an effect only if the parameter `unit` names a
+bend."""
 
 MAX_LENGTH_RATIO = 10_000
 """Largest length of a simulated pipe divided by the pipe's diameter."""
@@ -61,7 +62,7 @@ def parameters_from_mesh(values: Mapping[str, object], ways: Sequence[Way] = WAY
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Return the arc lengths [m] at which the parts of a pipeline begin, and its length [m], shape (parts + 1,)."""
+    """Return the arc lengths [m] where the parts of a pipeline begin, then its length [m], shape (parts + 1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 

@@ -139,7 +139,7 @@ class MovingParticles(Stepping):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
+        """Objects that hold the flow's device arrays; the keys name them in a forecast, which states their memory."""
         solves = self.viscous, self.projection, self.shifting
         return {"particles": self.particles, "neighbours": self.lists, "matrix": self.matrix, "solves": solves}
 

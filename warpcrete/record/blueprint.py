@@ -11,18 +11,19 @@ from .legend import capitalised, legend_title
 
 PAPER = (250, 250, 250)
 MIN_PLAY_TIME = 8.0
-"""Shortest time for which the viewer plays a run [s]; shorter simulated times are played in slow motion."""
+"""Shortest time in which the viewer plays back a run [s]; a run with a shorter simulated time is played in slow
+motion."""
 SLIM = 0.25
-"""Aspect ratio of the scene, width to height or height to width, below which all views are arranged in one row or
+"""Ratio of the shorter to the longer side of the scene's picture below which all views are arranged in one row or
 column.
 """
 AREA = 1.15
-"""Width over height of the area that all views of the scene share, in a window of 1400 by 900 pixels."""
+"""Width of the area for all views of the scene, divided by its height, in a viewer window of 1400 by 900 pixels."""
 FIELD = np.radians(55.0)
 """Vertical angle of view of the viewer's camera [rad]."""
 MARGIN, ROOM = 1.06, 1.5
-"""Distance of the camera, divided by the smallest distance from which a view shows the whole scene. The larger value
-applies to aggregates that spread out of a vessel."""
+"""Distance of the camera, divided by the smallest distance from which a view shows the whole scene. ROOM, the larger
+value, applies to aggregates that spread out of a vessel, and MARGIN to all other scenes."""
 CHAINS, CUT = "scene/network", "scene/cut"
 """Paths, in the recording, of the lines that show contact forces and of the walls that are cut open. The view of the
 whole scene hides what is recorded under these paths."""

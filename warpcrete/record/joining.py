@@ -15,7 +15,7 @@ def join(parts: Sequence[Path], path: Path) -> None:
     """Join the parts of a recording into the file `path`, which is also the first part, and remove the other parts.
 
     Rerun's own tool joins the parts. If a killed run left a part incomplete, the tool keeps the complete chunks of this
-    part; a chunk is Rerun's unit of stored data. If the program was killed while it joined parts before, chunks may
+    part; a chunk is Rerun's unit of stored data. If an earlier attempt to join the parts was killed, some chunks may
     occur in two parts; the tool stores them only once. Raises :class:`RunFolderError` if joining fails; the parts then
     remain.
     """

@@ -22,7 +22,7 @@ from .recorders import RECORDERS, DrawSettings, recorders_of
 __all__ = ["SETTINGS", "RunFolder", "Simulation"]
 
 PIPELINE = ("pipeline_vertical", "pipeline_horizontal", "pipeline_other")
-"""Names of the command's options that request an estimate of the pressure of a whole pipeline."""
+"""Names of the options of `warpcrete run` that request an estimate of the pressure of a whole pipeline."""
 SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *PIPELINE, "checkpoint_every", "threads")
 """Names of the settings of a run that scene.json stores, so that the run can be resumed with them."""
 
@@ -50,9 +50,9 @@ class RunFolder:
     bind: str = LOOPBACK
     """IP address on which a newly opened viewer listens."""
     pipeline: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(PIPELINE))
-    """Values of the command's options for the pressure of a whole pipeline, stored in scene.json for a resumed run."""
+    """Values of the options :data:`PIPELINE` of `warpcrete run`, by name; scene.json stores them for a resumed run."""
     resumed: bool = False
-    """True if the settings come from the scene.json in this folder."""
+    """True if the settings were read from the scene.json in this folder, because its unfinished run continues."""
 
     def __post_init__(self) -> None:
         if isinstance(self.recordings, str):

@@ -160,7 +160,7 @@ class ParaViewRecorder(Recorder):
 
 
 class Poly:
-    """VTKHDF file of PolyData in time steps; each time step is one partition, as the format calls a block of data."""
+    """VTKHDF file with one PolyData block for each time step; the format calls such a block a partition."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind

@@ -26,7 +26,7 @@ outside the triangles at the edges of a mesh, and therefore slightly outside the
 
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
-    """Return a copy of a Rerun tensor (an Arrow array) with other `values` of the same number and type."""
+    """Return a copy of a Rerun tensor (an Arrow array) that holds the new `values`, as many and of the same type."""
     # Arrow stores the values of a Rerun tensor as a union of list arrays, one for each data type.
     union = tensor.field("buffer")
     kind = union.type_codes[0].as_py()

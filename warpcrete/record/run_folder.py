@@ -22,7 +22,7 @@ from ..core.run.tables import Table
 from .loading import is_finished
 
 SAME_RUN = ("scene", "parameters", "files", "device", "precision", "command")
-"""Entries of scene.json that must be equal for a simulation that continues the run in an existing folder."""
+"""Entries of scene.json that must be equal in an existing folder and in the simulation that continues its run."""
 
 
 def scene_record(simulation: SimulationBase, command: Record | None = None) -> Record:
@@ -214,8 +214,8 @@ def _check_same_run(path: Path, record: Record) -> None:
 def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
     """Return a text on the first entry that differs between two records, with both values; empty if the records agree.
 
-    `there` is the saved record, and `here` is the record of the present run. The time between checkpoints may differ,
-    because it has no effect on results.
+    `there` is the saved record, and `here` is the record of the present run. A difference in the time between
+    checkpoints is ignored, because this time has no effect on results.
     """
     for name in dict.fromkeys([*there, *here]):
         old, new = there.get(name), here.get(name)

@@ -29,8 +29,8 @@ FRAMES_PER_SECOND = 1000  # One USD time code stands for one millisecond of simu
 class UsdRecorder(Recorder):
     """Recorder that writes scene.usdc, in metres with Z up, at checkpoints and at the end of a run.
 
-    The file is also written when a run is interrupted. If `velocities` is true, it contains the velocities of rigid
-    bodies, which renderers need for motion blur; it is then one and a half times as large.
+    The file is also written when a run is interrupted. If `velocities` is true, the file also contains the velocities
+    of rigid bodies, which renderers need for motion blur. This makes the file one and a half times as large.
     """
 
     expendable = True

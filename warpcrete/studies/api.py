@@ -21,7 +21,8 @@ SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "fram
 
 
 LISTS = (list, tuple, range, np.ndarray)
-"""Types of lists of values that users may give as a fixed parameter of a study by mistake."""
+"""Types of lists. A list as the value of a fixed parameter is a mistake of the user, who wanted to vary this
+parameter."""
 
 
 def study(
@@ -71,7 +72,7 @@ def study(
 
 
 def check_settings(scene: SceneFunction, given: Iterable[str], settings: Sequence[str]) -> None:
-    """Refuse a name in `given` that is no parameter of the scene and resembles one of the names in `settings`."""
+    """Refuse a name in `given` that is not a parameter of the scene, but resembles (misspells) a name in `settings`."""
     known = declared_fields(scene.parameters)
     for name in given:
         meant = suggested(name, (*settings, *known)) if name not in known else ""

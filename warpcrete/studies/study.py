@@ -217,7 +217,7 @@ def _continue(
         tell("running", (len(study.results) + len(study.failures)) / len(cases), {})
 
     def tell_pending(phase: str, fraction: float, figures: dict[str, float]) -> None:
-        """Report a fraction of the pending cases as a fraction of all cases, or the progress of another phase."""
+        """Report the finished fraction of the pending cases as a fraction of all cases, or report another phase."""
         all_done = 1 - (1 - fraction) * len(pending) / len(cases)
         tell(phase, all_done if phase == "running" else fraction, figures)
 

@@ -82,7 +82,7 @@ class Study:
 
     @property
     def compared(self) -> list[Quantity]:
-        """Compared quantities that at least one case has in its result; all of them as long as no case has finished."""
+        """Quantities to compare that occur in at least one result; all of them as long as no case has finished."""
         results = self.results.values()
 
         def met(each: Quantity) -> bool:

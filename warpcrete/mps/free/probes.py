@@ -8,7 +8,7 @@ from ..grid.flow import GridFlow
 from ..grid.layout import GridLayout
 
 HALF = 0.5
-"""Minimum filled fraction of a cell; in emptier cells the speed of the concrete is not measured."""
+"""Minimum filled fraction of a cell in which the speed of the concrete is measured."""
 UNITS = {
     "time": "s",
     "top": "m",

@@ -17,7 +17,8 @@ from ..grid.geometry import MIRROR
 from .scene import FreeScene, Points
 
 SAMPLES = 30
-"""Number of sample points per axis, from which the free fraction of a space with walls in it is computed."""
+"""Number of sample points along each axis of a space with walls. The share of points outside the walls is the free
+fraction of the space."""
 
 
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:

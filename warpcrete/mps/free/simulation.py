@@ -23,7 +23,7 @@ from .quantities import RunData, quantities, whole_volume
 from .scene import FreeScene
 
 STARTS = 0.2
-"""Time after the gate has opened in which slow concrete does not yet count as at rest [s].
+"""Time after the opening of the gate in which concrete never counts as at rest, however slow it is [s].
 
 In this time the concrete may be slow because it has only begun to flow.
 """

@@ -27,7 +27,7 @@ def fill_cells(
     of the concrete in it equally, but each mass is limited to the range from 1 / MAX_MASS to MAX_MASS.
 
     `there` tells which particles of each cell lie in the concrete, shape (cells..., per_axis^axes), with the last axis
-    of the particles fastest; by default, `concrete` computes it.
+    of the particles fastest. If `there` is omitted, it is computed with the function `concrete`.
     """
     axes = len(room.cells)
     each = _sample_points(room, per_axis)

@@ -195,7 +195,7 @@ class GridFlow(Stepping):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
+        """Objects that hold the flow's device arrays; the keys name them in a forecast, which states their memory."""
         systems = self._systems.values()
         return {
             "particles": self.particles, "grid": self.mesh, "walls": [self.geometry, self.state.opened],

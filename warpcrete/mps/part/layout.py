@@ -27,7 +27,7 @@ MIN_AXIS_POINTS, POINTS_PER_RADIUS = 200, 8
 """Number of points along the axis from which the extent of a part is computed: POINTS_PER_RADIUS for each radius of the
 bore, but at least MIN_AXIS_POINTS."""
 ROUNDING = 1e-6
-"""Largest rounding error, in cell widths, of a length that is a whole number of cells."""
+"""Largest deviation from a whole number of cells, in cell widths, that counts as a rounding error of a length."""
 
 
 class Frame:

@@ -37,7 +37,7 @@ AXIS_SAMPLES = 60
 FLATNESS = 0.01
 """Largest distance by which the axis of a mesh may be moved into one plane, divided by the radius of the bore."""
 SIMULATED_WHOLE = ", so the whole pipe is simulated"
-"""End of the remark on a part without the symmetry that `symmetry` asks for."""
+"""End of the remark that is shown if a part lacks the symmetry that the parameter `symmetry` requires."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,7 +212,7 @@ class PartScene(Parametrised, PartSettings):
         return s, radii
 
     def _found_orientation(self) -> Orientation:
-        """Return the orientation of the grid, and add a remark if the symmetry that `symmetry` asks for is missing."""
+        """Return the grid's orientation, and add a remark if the part lacks the symmetry that `symmetry` requires."""
         symmetric = self.symmetry == "half" and self.axis.is_plane
         heavy = symmetric and self.has_heavy_aggregates and self.gravity > 0
         grid_orientation = orientation(

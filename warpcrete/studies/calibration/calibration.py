@@ -83,7 +83,7 @@ class Calibration:
 
     @property
     def guide(self) -> Posterior | None:
-        """Posterior that proposes the parameters of the next round; None before there is one."""
+        """Posterior that proposes the parameters of the next round; None as long as no posterior has been computed."""
         return self.posterior or self.coarse_posterior
 
     @property

@@ -266,7 +266,7 @@ def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:
 
 
 def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the probability that runs at the points `at` succeed, by previous runs nearby.
+    """Return the logarithm of the probability that runs at the points `at` succeed, estimated from previous runs.
 
     `at` has the shape (m, free), and `points` holds the points of previous runs, shape (n, free). The coordinates of a
     point are the free parameters, each scaled to 0 to 1 over its range. `sound` is True for the previous runs that

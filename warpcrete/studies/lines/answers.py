@@ -60,8 +60,8 @@ class Measurement:
     advice: str
     """Sentence that tells the user how to measure."""
     factors: tuple[float, float]
-    """Ends of the uncertainty band that a measured property still has, each divided by the measured value: a number
-    below 1 and a number above 1."""
+    """Lower and upper end of the property's uncertainty band after the measurement, each divided by the measured value.
+    The first number is below 1, and the second above 1."""
 
 
 MEASUREMENTS = {

@@ -61,8 +61,8 @@ class BlockingProbability:
     failed: int
     """Number of runs that ended with an error; they do not count in the probability of a blockage."""
     short: int
-    """Number of runs that did not end because of a blockage, although part of the concrete stood still at their end.
-    They count as not blocked."""
+    """Number of runs at whose end part of the concrete stood still, but not yet long enough to count as a blockage.
+    These runs count as not blocked."""
     stones: int
     """Number of stones in the first simulation. The other simulations have other random packings."""
     stone: float

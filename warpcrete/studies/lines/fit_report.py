@@ -10,7 +10,7 @@ from .line_fit import LineFit, Stretch
 from .taps import Tap, at_one_flow
 
 NOTICED = 0.01
-"""Smallest weight (from 0 to 1) of the slip layer expected before the fit at which the report states this weight."""
+"""Weight of the slip layer expected before the fit, from 0 to 1, from which on the report mentions this weight."""
 
 
 def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0, 1.0), mix: bool = True) -> list[str]:
@@ -112,7 +112,7 @@ def _meaning(fit: LineFit) -> str:
 
 
 def _open_yield(fit: LineFit, customary: bool) -> str:
-    """Return a sentence on the unknown yield stress of the slip layer, and on the flows at which the band is wider."""
+    """Return a sentence on the slip layer's unknown yield stress, and on the flows at which it widens the band."""
     assert not fit.knows_yield, "the yield stress is known"
     unit, size = ("yd3/h", CUSTOMARY_SIZES["yd3/h"]) if customary else ("m3/h", 1 / 3600)
     (_, low), (_, high) = fit.yield_layers

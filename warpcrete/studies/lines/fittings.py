@@ -23,8 +23,9 @@ STRAIGHT_DIAMETERS = 2.5
 """Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
 diameters."""
 MOST_UNASKED, MOST_CELLS = 3e5, 5e6
-"""Largest number of cells of a part that is simulated without a request (`--simulate`), and with one. A bend of 125 mm
-with a radius of 0.125 m has 4,500 cells, and a million cells need 6 GB of memory."""
+"""Two limits for the number of cells of a simulated part. MOST_CELLS applies if the user requested the simulation
+(`--simulate`), and MOST_UNASKED applies otherwise. A bend of 125 mm with a radius of 0.125 m has 4,500 cells, and a
+million cells need 6 GB of memory."""
 VALVE_PRESSURE = 0.8e6
 """Pressure loss of a stop valve [Pa] (JGJ/T 10)."""
 REDUCER_EXTRA_LOSS = ((0.0, 0.0208, 0.025, 0.0417, 0.05, 0.0833), (0.0, 0.047, 0.082, 0.117, 0.161, 0.452))
@@ -144,7 +145,7 @@ def cells_of(part: Part, cells: int) -> float:
 
 
 def check_cells(part: Part, cells: int, asked: bool = True) -> None:
-    """Refuse to simulate a bend or reducer that needs too many cells; fewer are allowed if the user has not `asked`.
+    """Refuse to simulate a bend or reducer with too many cells; the limit is higher if the user requested it (`asked`).
 
     Raises :class:`SceneError` with the number of cells.
     """

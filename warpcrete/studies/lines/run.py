@@ -33,7 +33,7 @@ TUBE_CELLS = 20
 """Number of cells across the bore of a simulated straight pipe. It is larger than in bends and reducers because a
 periodic pipe is short and cheap to simulate."""
 CURE = "; usual cure: "
-"""Words in the text of a failed check that precede the scene parameters by which the failure can be avoided."""
+"""Words in the text of a failed check, after which the scene parameters follow that usually avoid the failure."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
 """Option of `warpcrete line` that helps if a check of a simulated part fails, by the name of the check."""
 

@@ -85,7 +85,7 @@ class TapModel:
 
 
 def _kind(part: Part) -> tuple[float, float, float]:
-    """Return a key of the part: the properties that determine the friction of a metre of such pipe."""
+    """Return the properties that determine a part's friction per metre; parts with equal results are of one kind."""
     return part.diameter, part.outlet, part.layer
 
 

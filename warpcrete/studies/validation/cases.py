@@ -26,7 +26,8 @@ SCATTER_KEYS = ("concretes", "from", "to")
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""One in this number of groups of cases is held out. The cases of a held-out group are not used to fit constants."""
+"""Number n such that one of n groups of cases is held out. The cases of a held-out group are not used to fit
+constants."""
 FITTED = {
     "slump": ("yeh-2007", "ferraris-1998"),
     "fitting": ("park-2020", "calibe"),
