@@ -209,7 +209,7 @@ class Axis:
     def frame(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return points, tangents and two unit normals at arc lengths `s` [m], shape (n, 3) each.
 
-        The normals do not twist about the axis.
+        From one arc length to the next, the normals do not rotate about the axis (no twist).
         """
         points, tangents = self.at(s)
         bends = [segment["outward"] for segment in self.segments() if isinstance(segment["piece"], Arc)]

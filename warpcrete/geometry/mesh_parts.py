@@ -35,7 +35,7 @@ FINE = 0.005
 """Distance along the axis between neighbouring cross-sections at which a mesh bore is measured, divided by the bore's
 diameter."""
 STEPS = 4000
-"""Largest number of cross-sections at which one mesh bore is measured."""
+"""Maximum number of cross-sections at which the bore of one mesh is measured."""
 PROFILE = 0.05
 """Length of the stretches of a mesh bore for each of which one mean radius is stored, divided by the bore's
 diameter."""

@@ -28,7 +28,7 @@ class Grains:
 
     @property
     def count(self) -> int:
-        """Number of grains."""
+        """Number of rigid grains in the column."""
         return len(self.size)
 
 

@@ -11,9 +11,11 @@ from ..theory.pipe import velocity
 from .particles import MovingParticles
 
 MIDDLE = (0.4, 0.6)
-"""Range of heights in which slip velocity and velocity profile are measured, as fractions of the column's height."""
+"""Lower and upper end of the heights at which slip velocity and velocity profile are measured, as fractions of the
+column's height."""
 STRAIGHT = (0.2, 0.8)
-"""Range of heights in which the pressure gradient is measured, as fractions of the column's height."""
+"""Lower and upper end of the heights between which the pressure gradient is measured, as fractions of the column's
+height."""
 LOWEST = 0.1
 """Height of a zone above the piston, divided by the height of the column. The pressure on the piston is extrapolated
 from the pressures of the particles in this zone."""

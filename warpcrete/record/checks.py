@@ -26,5 +26,5 @@ class CheckRecorder(Recorder):
 
 
 def failed_checks(result: Record) -> list[str]:
-    """Return the names of the failed checks in the contents of a result.json."""
+    """Return the names of the scene's checks that a run failed, from the contents of its result.json."""
     return [name for name, check in result.get("checks", {}).items() if not check["passed"]]

@@ -43,8 +43,8 @@ height."""
 
 
 PARTIAL = "some runs have no value"
-"""Label in the legend for the rings around mean values. A ring means that some of the finished runs have no value of
-the quantity, so that the mean does not include these runs."""
+"""Label in the legend for the rings around mean values. A ring marks a mean that leaves out some of the finished runs,
+because they have no value of the quantity."""
 
 
 def draw(
@@ -107,7 +107,7 @@ def draw(
 
 
 def _make_room(figure: Any) -> None:
-    """Make panels whose legends have many rows higher, so that legends do not take the room of the curves."""
+    """Increase the height of panels whose legends have many rows, so that enough room remains for the curves."""
     heights = []
     for axes in figure.axes:
         legend = axes.get_legend()
@@ -287,7 +287,7 @@ def _panel(
 
 
 def _entry(label: str, **style: Any) -> Any:
-    """Return an entry of a legend that belongs to no single curve."""
+    """Return an entry of a legend that explains a mark or a line style instead of a single curve."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **style)
@@ -299,8 +299,8 @@ class _TheoryCurves:
     def __init__(self, study: Any) -> None:
         self.study, self.module = study, modules().get(study.scene)
         self._known: dict[tuple[Any, ...], list[tuple[float, Mapping[str, float]]]] = {}
-        """Points of the theoretical curves, by case and varied parameter: pairs of a value of this parameter and all
-        quantities by theory.
+        """Points of the theoretical curves, by case and varied parameter. A point is a pair: a value of this parameter,
+        and all quantities that theory predicts for it.
 
         A closed form returns all quantities of a scene at once, so they are stored for the other panels of the figure.
         """

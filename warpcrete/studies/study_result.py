@@ -43,13 +43,13 @@ class Study:
     """Name of the scene."""
     cases: list[Case]
     quantities: Sequence[Quantity] = ()
-    """Quantities in which the cases are compared."""
+    """Result quantities that the table and the figure of the study compare between the cases."""
     units: Mapping[str, str] = field(default_factory=dict)
     """Units of the varied parameters, by name; parameters without a unit are missing."""
     results: dict[str, Record] = field(default_factory=dict)
-    """Contents of result.json of every finished case, by case name."""
+    """Contents of the file result.json of every finished case; the keys are the names of the cases."""
     failures: dict[str, str] = field(default_factory=dict)
-    """Messages of the errors that ended cases, by case name."""
+    """Messages of the errors that ended cases; the keys are the names of the cases."""
     not_at_fault: set[str] = field(default_factory=set)
     """Names of cases that failed only because their process died or the disk was full; they can run again."""
     written: Mapping[str, str] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class Study:
 
     @property
     def progress(self) -> str:
-        """Numbers of finished and failed cases, as text."""
+        """Text that states how many cases have finished and how many have failed."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         return f"{len(self.results)} of {len(self.cases)} cases done{failed}"
 

@@ -1,4 +1,4 @@
-"""Base class of the displays of flows."""
+"""Base class of objects that tell recorders what to draw for a flow (displays)."""
 
 from typing import Any
 

@@ -34,13 +34,13 @@ class FlowRun(Simulation):
     is true if the concrete came to rest.
     """
     method: ClassVar[str] = "mps"
-    """Name of the simulation method in the run's result."""
+    """Name of the simulation method, as the run's result states it."""
     columns: ClassVar[Mapping[str, str]]
     """Units of the columns of the time series, by the name of the column."""
     drawn_by: ClassVar[type[Display]]
     """Class of the display, which tells recorders what to draw: particles, walls, colours and curves."""
     cure: ClassVar[str] = "a smaller 'time_step'"
-    """Advice for the user if a value of the time series is not finite."""
+    """Advice in the error message for the user if a value of the time series is not finite."""
 
     def set_up(self) -> None:
         """Start with an empty time series; `prepare` places the particles later, because they take much memory."""

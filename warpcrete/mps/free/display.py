@@ -14,7 +14,7 @@ from .scene import Points
 
 PLATE = (150, 150, 150, 255)
 SHOWN_DEPTH = 0.1
-"""Depth along y of the drawn body of concrete in a plane flow, which itself has no depth [m]."""
+"""Depth along y with which recorders draw the concrete of a plane flow [m]; a plane flow itself has no depth."""
 SHOWN_SHEAR = 0.02
 """Upper end of the colour scale of the shear rate, as a fraction of a typical shear rate. The typical rate is (p -
 tau_0) / mu, with the initial pressure p of the concrete on its base, the yield stress tau_0 and the plastic viscosity
@@ -41,7 +41,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def _mirrored(self) -> list[tuple[float, float]]:
-        """Signs of x and y for each image of a three-dimensional flow: the original and its mirror images."""
+        """Factors 1 or -1 for x and y of each image of a three-dimensional flow: the original and its mirror images."""
         sides = self.simulation.scene.sides
         if not self._solid:
             return [(1.0, 1.0)]
@@ -51,7 +51,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def copies(self) -> int:
-        """Number of images of each particle: 1 without planes of symmetry, 2 with one plane, 4 with two planes."""
+        """Number of drawn images of each particle: 1 without planes of symmetry, 2 with one, 4 with two planes."""
         return len(self._mirrored)
 
     def centres(self) -> np.ndarray:

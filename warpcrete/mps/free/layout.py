@@ -18,7 +18,7 @@ PARTICLES_PER_AXIS = {2: 3, 3: 2}
 A flow with a free surface needs more particles than a pipe flow.
 """
 NEVER_OPENS = 1e30
-"""Opening time [s] of cells whose walls never open."""
+"""Number that stands for "never" as the opening time of a cell's walls [s]."""
 
 
 def free_cells(scene: FreeScene) -> tuple[int, ...]:

@@ -14,7 +14,8 @@ its neighbours. At these positions, the three particles give the same shares as 
 itself and 0.125 for each neighbour.
 """
 MAX_MASS = 3.0
-"""Maximum mass of a particle, divided by the mass of a particle in a full cell; the minimum is 1 / MAX_MASS."""
+"""Maximum mass of a particle, divided by the mass of a particle in a full cell. The minimum of this ratio is 1 /
+MAX_MASS."""
 
 
 def fill_cells(

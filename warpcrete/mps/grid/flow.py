@@ -108,17 +108,17 @@ class GridFlow(Stepping):
 
     @property
     def viscosity_threshold(self) -> wp.array:
-        """Norm of the residual at which the viscosity solve stops, shape (1,)."""
+        """Norm of the residual below which the viscosity solve stops, one number on the device, shape (1,)."""
         return self.viscous.arrays.stop_norm
 
     @property
     def pressure_threshold(self) -> wp.array:
-        """Norm of the residual at which the pressure solve stops, shape (1,)."""
+        """Norm of the residual below which the pressure solve stops, one number on the device, shape (1,)."""
         return self.projection.arrays.stop_norm
 
     @property
     def dispersion_threshold(self) -> wp.array:
-        """Norm of the residual at which the solve that disperses crowded particles stops, shape (1,)."""
+        """Norm of the residual below which the solve that disperses crowded particles stops, shape (1,)."""
         return self._no_threshold if self.dispersion is None else self.dispersion.arrays.stop_norm
 
     @property

@@ -44,7 +44,7 @@ AXIS_PAIRS = (0, 1), (0, 2), (1, 2)
 
 @dataclass(frozen=True)
 class Geometry:
-    """Distances from walls, and open fractions of the cells, faces and edges of a grid.
+    """Distances of grid points from walls, and the fractions of cells, faces and edges that walls leave open.
 
     The struct `Geometry` of the kernels has the same members and describes them. All arrays include one layer of cells
     around the grid. `shape` is the number of cells along each axis, with this layer, last axis first. Arrays of cells

@@ -15,7 +15,8 @@ from .probes import friction_ahead
 from .scene import PartScene
 
 WALL_GAP = 0.03
-"""Distance between the concrete and the drawn wall, divided by the radius of the pipe at the start of the part."""
+"""Gap that recorders leave between the concrete and the drawn wall, divided by the pipe's radius at the start of the
+part."""
 FACETS_AROUND, RING_COUNT = 48, 60
 """Number of facets around the axis, and number of rings along the axis, with which a round wall is drawn."""
 

@@ -25,7 +25,7 @@ NARROW_CELLS = 11
 """Minimum number of cells across the narrowest section for which the friction computed in this section deviates little
 from theory. In a cone from 100 to 80 mm, it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
 MIN_ACROSS = 6
-"""Minimum number of cells across the narrowest bore."""
+"""Minimum number of cells across the narrowest bore; a part with fewer cells is refused."""
 CLEARANCE, MIN_CELLS_LEFT = 1.0, 4
 """Limits for the measurement of friction in straight pipes. CLEARANCE is the length that is left out at both ends of a
 straight pipe, divided by its radius. MIN_CELLS_LEFT is the minimum length of the stretch between them, in cells."""

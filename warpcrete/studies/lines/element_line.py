@@ -131,12 +131,12 @@ class ElementLine:
     """Results of the simulated parts, one entry for each random seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same
-    time, their wall times overlap."""
+    """Wall time of each new simulation [s]; the keys are the names of the simulations' folders. If simulations run on
+    the device at the same time, their wall times overlap."""
     elapsed: float = 0.0
     """Total wall time for packing and running all new simulations [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Failed plausibility checks with the values that they found, by the name of the run folder."""
+    """Texts on failed plausibility checks, with the values that the checks found; the keys are names of run folders."""
 
     def __repr__(self) -> str:
         return f"<ElementLine of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"

@@ -34,7 +34,7 @@ OTHER_FLOWS = (0.5, 2.0)
 """Range of flows, divided by the measured flows, for which the stated uncertainty of a fitted layer holds when the
 layer is used in another line."""
 BISECTIONS = 60
-"""Number of bisection steps in the search for a viscosity of the slip layer."""
+"""Number of bisection steps with which the viscosity of a slip layer is found."""
 
 
 def known_yields(concrete: Concrete, yields: tuple[float, float] | None = None) -> tuple[float, float]:

@@ -51,13 +51,14 @@ class Stretch:
     """Stretch of a trial line between two gauges, or from the last gauge to the line's end, and its friction."""
 
     begin: float
-    """Distance of the first gauge from the pump [m]."""
+    """Distance along the line from the pump to the gauge at the start of the stretch [m]."""
     end: float | None
-    """Distance of the second gauge from the pump [m]; None for the end of the line."""
+    """Distance along the line from the pump to the gauge at the end of the stretch [m]; None for the end of the
+    line."""
     measured: float
-    """Friction loss per length between two gauges according to their readings [Pa/m]."""
+    """Friction loss per length in the stretch according to the readings of its gauges [Pa/m]."""
     fitted: float
-    """Friction loss per length between two gauges according to the fit [Pa/m]."""
+    """Friction loss per length in the stretch according to the fit [Pa/m]."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class LineFit:
     """Uncertainty u of the friction of straight pipe at the mean flow, from the errors of the gauges and from the slip
     layer expected before the measurement. The band extends from 1 / (1 + u) to 1 + u times the friction."""
     gauge: float
-    """Error limit of the gauges [Pa]."""
+    """Largest error that a reading of a gauge is assumed to have [Pa]."""
     prior_share: float = 0.0
     """Weight, between 0 and 1, of the slip layer that was expected before the measurement. The weight of the
     measurement is 1 minus this number."""
@@ -141,7 +142,7 @@ class LineFit:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the measured pressures from the fitted pressures [Pa]."""
+        """Standard deviation of the differences between measured and fitted pressures [Pa]."""
         off = self.deviations()
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 

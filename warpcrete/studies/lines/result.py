@@ -73,7 +73,7 @@ class LineResult(LinePressures):
     took: dict[str, float] = field(default_factory=dict)
     """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Failed plausibility checks with the values that they found, by the name of the run folder."""
+    """Texts on failed plausibility checks, with the values that the checks found; the keys are names of run folders."""
     band_origin: str = ""
     """Origin of the uncertainty band of the slip layer, a key of :data:`COVERAGE`. The text is empty if the user chose
     the width of the band."""

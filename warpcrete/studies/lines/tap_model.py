@@ -15,7 +15,7 @@ from .losses import GRAVITY, course_of, straight_friction
 from .taps import Tap, is_free
 
 ITERATIONS = 50
-"""Largest number of iterations of the least-squares fit."""
+"""Maximum number of iterations of the least-squares fit of measured pressures."""
 
 
 class TapModel:

@@ -111,5 +111,5 @@ def at_one_flow(taps: Sequence[Tap]) -> bool:
 
 
 def is_free(part: Part) -> bool:
-    """Return whether a part is a bend whose friction factor can be fitted, because the line's file states none."""
+    """Return whether a fit can determine a part's friction factor: a bend for which the line's file states none."""
     return part.kind == "bend" and part.factor is None

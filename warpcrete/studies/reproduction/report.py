@@ -72,7 +72,7 @@ def _plain(result: Mapping[str, object]) -> dict[str, float]:
 
 
 def columns_with_results(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
-    """Return those of the `names` of columns for which at least one run has a result."""
+    """Return the names of report columns, out of `names`, for which at least one run has a result."""
     return [
         name for name in names if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)
     ]

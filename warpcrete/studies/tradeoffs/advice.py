@@ -28,7 +28,7 @@ class Advice:
     setting: str
     """Description of the recommended settings for the user."""
     promised: float
-    """Upper bound of the relative error of each quantity in `quantities`, as a fraction."""
+    """Upper bound of the relative error that the settings cause in each of `quantities`, as a fraction."""
     quantities: tuple[str, ...]
     """Names of the measured quantities to which the promised error applies."""
     ratio: float
@@ -42,7 +42,7 @@ class Advice:
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str
-    """Processor on which the wall times were measured."""
+    """Name of the GPU or CPU on which the wall times were measured."""
     time: float
     """Wall time of one run of the trade-off study's scene with the recommended settings, on the processor `machine`
     [s]; NaN if unknown."""

@@ -32,7 +32,7 @@ from .report import percent
 
 TIMED_FRAMES = 3  # number of frames that are timed for each recorder
 MEASURING = "measuring the first steps; kernels that are not in the cache are compiled before, which can take minutes"
-"""Sentence for users who wait for the measurements."""
+"""Sentence that is shown to users before the measurements, which may take minutes."""
 MAX_TIME_RATIO = 0.9
 """Limit for listing a simplification: wall time with the simplification, divided by the wall time without it."""
 
@@ -42,7 +42,7 @@ class Saving:
     """A simplification of a scene that shortens its run."""
 
     what: str
-    """Name of the simplification, for the user."""
+    """Name of the simplification, as it is shown to the user."""
     ratio: float
     """Wall time with the simplification, divided by the wall time of the unchanged scene."""
     error: str

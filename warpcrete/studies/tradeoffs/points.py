@@ -64,7 +64,7 @@ class Setting:
 
     @property
     def failure(self) -> str:
-        """Error of the failed run with the lowest seed, or the reason why no run was made; empty without failure."""
+        """Message of the failed run with the lowest seed, or the reason why no run was made; empty without failure."""
         return self.failures[min(self.failures)] if self.failures else self.left_out
 
     @property
@@ -85,7 +85,7 @@ class Setting:
 
     @property
     def memory(self) -> float:
-        """Median device memory at the end of a run [B]; NaN without a run."""
+        """Device memory that a run occupies at its end [B], as the median over the runs; NaN without a run."""
         taken = [number(r["speed"]["memory"]) for r in self.results.values() if "memory" in r["speed"]]
         return float(np.median(taken)) if taken else math.nan
 

@@ -75,7 +75,7 @@ def own_error(trade: Trade) -> str:
 
 
 def _beside(trade: Trade) -> str:
-    """Return a sentence on the number of simultaneous runs; empty if the runs were made one after the other."""
+    """Return a sentence that states how many runs took place at the same time; empty if it was one at a time."""
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""
@@ -259,7 +259,7 @@ def _series(axes: Axes, origin: str, mine: list[tuple[Setting, Error]], marker: 
 
 
 def _name_levels(axes: Axes, trade: Trade) -> None:
-    """Label each point of the figure whose setting changes a single accuracy parameter with the parameter's value.
+    """Write the value of the parameter beside each point whose setting changes only one accuracy parameter.
 
     A label that would overlap another one is left out, because the table lists all values.
     """

@@ -58,7 +58,7 @@ class Trade(Judging):
         self.budget = math.inf
         self.interrupted = False
         self.gap = StopAtSample([])
-        """Object that notices a Ctrl-C of the user between two runs."""
+        """Object that shows between two runs whether the user has pressed Ctrl-C."""
         self.cluster: Cluster | None = None
         """Workers that perform the runs; None for runs in this process."""
 
@@ -70,7 +70,7 @@ class Trade(Judging):
 
     @property
     def machine(self) -> str:
-        """Description of the processor on which the wall times were measured."""
+        """Description of the processor (GPU or CPU) on which the wall times were measured."""
         if self.device.startswith("cuda"):
             return self.hardware
         return f"{self.hardware}, {self.threads} thread{'s' if self.threads > 1 else ''}"
@@ -88,12 +88,12 @@ class Trade(Judging):
 
     @property
     def given(self) -> Setting:
-        """Setting in which all accuracy parameters have the values that the user stated, or their default values."""
+        """Setting of the user: each accuracy parameter has the value that the user stated, or its default value."""
         return self.points[0]
 
     @property
     def chosen_knobs(self) -> list[Knob]:
-        """Knobs (accuracy parameters) that may be changed in recommended settings."""
+        """Knobs (accuracy parameters) that a recommended setting may change."""
         return [knob for knob in self.knobs if knob.chosen]
 
     @property
@@ -102,12 +102,12 @@ class Trade(Judging):
 
     @property
     def measured(self) -> list[Setting]:
-        """Settings with a measured wall time and error."""
+        """Settings that have been run, so that their wall time and their error are known."""
         return [p for p in self.points if self.complete(p, self.seeds) and p.worst is not None
                 and math.isfinite(p.worst.bound)]  # fmt: skip
 
     def rounds(self, runs: int) -> int:
-        """Return the number of rounds that `runs` runs take if each worker performs one run per round."""
+        """Return the number of rounds for `runs` runs if, in a round, each worker performs one run."""
         return math.ceil(runs / self.abreast)
 
     def label(self, point: Setting) -> str:

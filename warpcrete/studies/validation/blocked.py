@@ -27,7 +27,7 @@ class BlockingComparison:
 
     @property
     def agrees(self) -> bool:
-        """True if the rules agree with the observation.
+        """True if the rules against blocking agree with the observation.
 
         This is the case if a rule warns and the concrete blocked, or if no rule warns and the concrete passed.
         """

@@ -71,9 +71,9 @@ class Case:
     flows: tuple[float, ...]
     """Flow rates at which the values were measured [m3/s], one for each value; empty if the kind needs no flow."""
     measured: tuple[float, ...]
-    """Measured values in the SI unit of the case's kind."""
+    """Measured values, in the SI unit that belongs to the kind of the case."""
     concretes: int = 1
-    """Number of concretes over which the measured value is a mean."""
+    """Number of concretes whose mean is the measured value."""
     ends: tuple[float, float] | None = None
     """Smallest and largest value among the concretes whose mean is `measured`, in the SI unit of the case's kind; None
     if the case is a single concrete."""

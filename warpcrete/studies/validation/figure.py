@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 COLUMNS = 2
 """Number of panels in a row of the figure."""
 TITLE = 28
-"""Number of characters that fit into a line of the title of a panel."""
+"""Maximum number of characters in a line of a panel's title, before the title continues on a new line."""
 MOST_LABELLED = 100
 """Ratio of the largest to the smallest value of an axis above which the axis labels powers of ten only."""
 COLOUR, WHITE = {"color": rgb(SECOND)}, {"color": rgb(SECOND), "markerfacecolor": "white"}

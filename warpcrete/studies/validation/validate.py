@@ -43,7 +43,7 @@ class Summary:
     groups: int
     """Number of independent groups (mixes, lines or laboratories) to which the cases belong."""
     ratio: float
-    """Median over the cases of the predicted value divided by the measured one."""
+    """Median, over the cases, of the ratio of the predicted value to the measured value."""
     error: float
     """Median of the relative errors of the predictions. A prediction that is too large or too small by a factor of 1.2
     has the error 0.2."""
