@@ -277,7 +277,7 @@ def _check_open(
 
 
 def _across(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors perpendicular to `tangent` and to each other, shape (1, 3) each."""
+    """Return two unit vectors that are perpendicular to `tangent` and to each other, shape (1, 3) each."""
     normal = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
     normal = normal / np.linalg.norm(normal)
     return normal[None], np.cross(tangent, normal)[None]

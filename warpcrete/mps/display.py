@@ -32,12 +32,12 @@ class FlowDisplay(FlowRunDisplay):
 
     @property
     def pressure_label(self) -> str:
-        """Label, in figures, of the pressure that drives the flow."""
+        """Label under which figures show the pressure that drives the flow."""
         return "pressure on the piston" if self.simulation.scene.ends == "piston" else "pressure over the stretch"
 
     @property
     def direction(self) -> tuple[float, float, float]:  # type: ignore[override]
-        """Direction from the flow to the viewer: -y for a channel; for a tube, -y with small parts of +x and +z."""
+        """Direction from the flow to the viewer: -y for a channel; for a tube, -y turned slightly towards +x and +z."""
         aside = 0.0 if self.simulation.scene.dimensions == 2 else 0.25
         return aside, -1.0, 0.1 * aside
 

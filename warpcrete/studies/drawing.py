@@ -287,7 +287,7 @@ def _panel(
 
 
 def _entry(label: str, **style: Any) -> Any:
-    """Return an entry of a legend that explains a mark or a line style instead of a single curve."""
+    """Return an entry of a legend that explains a colour or a marker, which several curves may share."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **style)

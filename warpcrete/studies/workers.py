@@ -54,7 +54,7 @@ class WorkerPool:
         self._workers: list[_Worker] = []
         self._idle: list[_Worker] = []
         self.stopping = False
-        """True if the workers have received the message to end their cases the next time they take measurements."""
+        """True after the pool has told its workers to end their cases the next time they take measurements."""
         self.terminated = False
         """True if a worker has received SIGTERM, and the pool was stopped for this reason."""
 
@@ -127,7 +127,7 @@ class _Worker:
     def __init__(self) -> None:
         self._ready = False
         self.failed = False
-        """True if the worker process ended before it was ready for jobs."""
+        """True if the worker process died while it was starting, before it could run jobs."""
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", START_CODE, json.dumps([str(path) for path in sys.path])],
@@ -159,7 +159,7 @@ class _Worker:
             raise WorkerDied(f"its process failed: {type(error).__name__}: {error}") from error
 
     def wait_until_ready(self) -> None:
-        """Wait until the worker process has imported its modules."""
+        """Wait until the worker process has imported its modules and is ready for jobs."""
         if not self._ready:
             self._ready = self.receive() == (READY,)
 

@@ -283,12 +283,12 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def velocity(self) -> float:
-        """Mean velocity of the concrete at the start of the part [m/s]."""
+        """Mean velocity over the cross-section at the start of the part [m/s]."""
         return self.flow / (np.pi * float(self.bore(0.0)) ** 2)
 
     @property
     def is_round(self) -> bool:
-        """True if the straight pipes are round, so that the theory of round pipes applies to them."""
+        """True if the straight pipes of the part are round, so that the theory of round pipes applies to them."""
         return getattr(self, "_round", True)
 
     @property
@@ -348,7 +348,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def rise(self) -> float:
-        """Height gained over the whole part [m]."""
+        """Height of the end of the part above its start [m]."""
         ends, _ = self.axis.at([0.0, self.axis.length])
         return float(ends[1, 2] - ends[0, 2])
 

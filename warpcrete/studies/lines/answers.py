@@ -58,7 +58,7 @@ class Measurement:
     """Measurement of the properties of the concrete that belong to one cause of uncertainty."""
 
     advice: str
-    """Sentence that tells the user how to measure."""
+    """Sentence that tells the user how to make this measurement."""
     factors: tuple[float, float]
     """Lower and upper end of the property's uncertainty band after the measurement, each divided by the measured value.
     The first number is below 1, and the second above 1."""
@@ -174,7 +174,7 @@ class RestartMargin:
 
     @property
     def verdict(self) -> str:
-        """Answer to whether the pump restarts the line: 'restarts', 'may fail' or 'is too weak'."""
+        """Judgement on whether the pump can restart the line: 'restarts', 'may fail' or 'is too weak'."""
         if self.begins.value > self.pump.pressure:
             return "is too weak"
         return "may fail" if self.band.high > self.pump.pressure else "restarts"
@@ -256,7 +256,7 @@ class PumpMargin:
 
     @property
     def verdict(self) -> str:
-        """Answer to whether the pump suffices for the line: 'strong enough', 'perhaps too weak' or 'too weak'."""
+        """Judgement on whether the pump suffices for the line: 'strong enough', 'perhaps too weak' or 'too weak'."""
         value, high = ((x, x * self.flow / EFFICIENCY) for x in (self.band.value, self.band.high))
         limits = (self.pump.pressure, self.pump.power)
 

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MIN_STRIPE = 0.004
-"""Smallest width of the stripe that marks a bend in the figure, divided by the length of the pump line."""
+"""Minimum width of the stripe that marks a bend in the figure, as a fraction of the length of the pump line."""
 RESTART_PLACE = 0.015
-"""Position of the bar of a restart in the figure, divided by the length of the pump line."""
+"""Position of the bar that shows a restart in the figure, as a fraction of the length of the pump line."""
 
 
 def draw(result: LinePressures) -> Figure:

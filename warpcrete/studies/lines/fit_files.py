@@ -106,7 +106,7 @@ def _points(section: MixSection, given: MixEntries) -> Record:
 
 
 def _short(value: float) -> float:
-    """Return a number without the digits that the conversion of units adds, such as 0.17779999999999999 for 7 in."""
+    """Return a number with nine digits, because a conversion of units yields 0.17779999999999999 m for 7 in."""
     return float(f"{value:.9g}")
 
 

@@ -139,12 +139,12 @@ class LineResult(LinePressures):
 
     @property
     def volume(self) -> float:
-        """Volume of the concrete that fills the line [m3]."""
+        """Volume of the concrete in the full line [m3]."""
         return self.line.bores.volume(0.0, self.line.length)
 
     @property
     def residence_time(self) -> float:
-        """Time that the concrete spends in the line [s]."""
+        """Time that concrete needs from the start of the line to its end [s]."""
         return self.volume / self.flow
 
     @property

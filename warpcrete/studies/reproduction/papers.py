@@ -139,7 +139,7 @@ PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (
 [Pa]."""
 
 UNITS_ROW = "units"
-"""Name of the group of runs with the four pipe units."""
+"""Name of the group of runs through the paper's four pipe units."""
 
 CONCRETES: dict[str, SceneArguments] = {
     "literal": {"concrete": "zhan-table1"},

@@ -23,9 +23,9 @@ from .state import Reproduction, key_of, unit_case
 PAPERS = ("zhan", "xu")
 RECORD = "reproduction.json"
 KNOWN_RESULTS = "known.json"
-"""Name of the file to which results from earlier reproductions are copied."""
+"""Name of the file that holds copies of the results from earlier reproductions."""
 QUICK = ("literal", "calibrated")
-"""Names of the only concretes that a quick reproduction simulates."""
+"""Names of the concretes that a quick reproduction simulates; it leaves out all others."""
 HYDRATED = ("calibrated", "literal")
 """Names of the concretes that are also run with hydrated bonds, the stiffer of two kinds of bonds between elements. The
 concrete "stiff stones" is not among them, because its runs would need ten times as many time steps."""

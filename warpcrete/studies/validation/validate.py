@@ -63,7 +63,7 @@ class Validation:
     """Comparison of the rules against blocking with the observation, for each concrete of which it is known whether it
     blocked."""
     refused: dict[str, str]
-    """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
+    """Cases that the program refuses to predict: the reasons, by the name of the case."""
 
     def __repr__(self) -> str:
         return f"<Validation of {len(self.comparisons) + len(self.blocking)} cases>"
