@@ -180,7 +180,7 @@ def test_theory_takes_the_slip_viscosity_of_a_thick_layer_from_the_paper_as_runs
         (["run", "part", "--velocity", "0.5"], "use '--flow', which is the mean velocity times the area of the bore"),
         (["run", "pipe", "--flow", "30m3/h"], "use '--velocity', which is the flow divided by the area of the bore"),
         (["study", "pipe", "--flow", "30m3/h"], "did you mean --velocity, which is the flow divided by the area"),
-        (["study", "tube", "--threads", "2"], "did you mean --processes, the number of cases that run at once?"),
+        (["study", "tube", "--threads", "2"], "--processes, the number of cases that run at once, each on one thread?"),
         (["warm", "tube", "--threads", "2"], "this scene; 'warpcrete run SCENE --help-all' lists its parameters"),
         (["run", "tube", "--processes", "2"], "use '--threads', the number of threads of the run"),
         (["run", "part", "--flow", "0.5m/s"], "this is a velocity; multiply it by the area of the bore, 0.785 times"),

@@ -142,10 +142,5 @@ def test_a_scene_is_kept(name, place):
 def test_what_the_help_of_a_scene_shows_is_kept(name):
     """Compare the options of the short and of the complete help page, in their order."""
     pages = [CliRunner().invoke(cli, ["run", name, option]).output for option in ("--help", "--help-all")]
-    kept.compare(
-        f"help-{name}",
-        {
-            "short": re.findall(r"^  (?:-\w, )?--([\w-]+)", pages[0], re.M),
-            "all": re.findall(r"^  (?:-\w, )?--([\w-]+)", pages[1], re.M),
-        },
-    )
+    options = [re.findall(r"^  (?:-\w, )?--([\w-]+)", page, re.M) for page in pages]
+    kept.compare(f"help-{name}", "\n".join(["short:", *options[0], "all:", *options[1]]))

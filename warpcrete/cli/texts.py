@@ -44,7 +44,7 @@ for each case. Tables and figures show a parameter in the unit in which its valu
   --out FOLDER           new folder                                                       [default: runs/study-NNN]
   --resume FOLDER        continue a study; finished cases are not run again
   --device, --precision  as for run
-  --processes N          number of parallel processes on a CPU                            [default: one per core]
+  --processes N          number of parallel processes on a CPU, each with one thread      [default: one per core]
 {ON_WORKERS}  --frames, --checkpoint-every, --rerun and other recorders   as for run; recordings are off by default
   --quiet                show no progress bar
 

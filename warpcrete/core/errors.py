@@ -195,7 +195,7 @@ SHORTENED = {"yield": "yield_stress", "slip": "slip_viscosity", "stress": "yield
 RELATED = {
     "flow": ("velocity", "which is the flow divided by the area of the bore"),
     "velocity": ("flow", "which is the mean velocity times the area of the bore"),
-    "threads": ("processes", "the number of cases that run at once"),
+    "threads": ("processes", "the number of cases that run at once, each on one thread"),
     "processes": ("threads", "the number of threads of the run"),
 }
 """Parameters and options that users may confuse. Each key is such a name; the value is a pair of a related name, which

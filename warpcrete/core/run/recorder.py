@@ -10,8 +10,10 @@ from .simulation_base import SimulationBase
 class Recorder:
     """Base class of objects that record a run; subclasses override the methods that they need.
 
-    The methods are called in the order in which they are listed here. `finish` and `close` are also called after an
-    interruption or an error. An exception in any method ends the run, unless the recorder is `expendable`.
+    The methods are called in the order `claim`, `abandon` (if the run never begins), `start` or `resume`, `sample`,
+    `frame`, `checkpoint`, `write`, `finish`, `tidy`, `close`. The methods from `sample` to `write` repeat. `finish` and
+    `close` are also called after an interruption or an error. An exception in any method ends the run, unless the
+    recorder is `expendable`.
     """
 
     expendable: ClassVar[bool] = False

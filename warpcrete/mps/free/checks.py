@@ -6,7 +6,7 @@ from ...core.run.run import Run
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",
     "volume": "a smaller --spacing, or a smaller --time-step",
-    "at rest": "a longer --duration",
+    "at rest": "a longer --duration or, for soft concrete, a smaller --spacing",
     "light is seen": "a longer --duration",
 }
 
