@@ -1,11 +1,14 @@
 """Texts that the command prints about failed checks of a study, and about the defaults of a method."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from pumping import command
 
-from warpcrete.cli.study import failed_lines
+from warpcrete.cli.study import failed_lines, report
+from warpcrete.core.run.method import Quantity
+from warpcrete.studies.study_result import Case, Study
 
 
 def test_each_failed_check_of_a_study_has_a_line_with_its_cure():
@@ -20,6 +23,19 @@ def test_each_failed_check_of_a_study_has_a_line_with_its_cure():
         f"  friction, in 3 cases (a, b and 1 more); the first one: {found}",
         "  volume, in 1 case (b); the first one: 2 %",
     ]
+
+
+def test_a_study_says_when_a_case_has_a_value_that_another_lacks(capsys):
+    level = Quantity("plateau_pressure", "Pa", lambda known: None, compared=True, only_if="the pressure is level")
+    cases = [Case(name, {"seed": number}, {}) for number, name in enumerate("ab")]
+    study = Study(Path("here"), "pipe", cases, (level,))
+    study.results = {name: {"plateau_pressure": {"value": 1e4, "unit": "Pa"}, "checks": {}} for name in "ab"}
+    note = "note: a case has a value of plateau only if the pressure is level"
+    report(study)
+    assert note not in capsys.readouterr().out
+    del study.results["b"]["plateau_pressure"]
+    report(study)
+    assert note in capsys.readouterr().out
 
 
 def test_help_states_the_defaults_that_a_method_changes():

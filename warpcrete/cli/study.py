@@ -122,6 +122,9 @@ def report(study: Study) -> None:
         click.echo(study.markdown())
     if "size_max" in study.varied and any("pressure" in each.name for each in study.compared):
         click.echo(f"note: {SIZES}")
+    for each in study.compared:
+        if each.only_if and any(each.name not in result for result in study.results.values()):
+            click.echo(f"note: a case has a value of {each.title} only if {each.only_if}")
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
     click.echo(f"\n{study.progress}; study folder: {study.folder}")
