@@ -375,6 +375,8 @@ def test_resume_refuses_what_it_cannot_go_on_with(tmp_path):
     assert done.returncode == 0, done.stderr
     done = command("run", "--resume", folder)
     assert done.returncode == 2 and "the run is already finished" in done.stderr
+    done = command("run", "tube", "--resume", folder)
+    assert done.returncode == 2 and "is a run of the scene 'pipe'; continue it with" in done.stderr
     (folder / "result.json").unlink()  # as of one that was killed before its first checkpoint
     done = command("run", "--resume", folder, "--quiet")
     assert done.returncode == 0 and json.loads((folder / "result.json").read_text(encoding="utf-8"))["finished"], (

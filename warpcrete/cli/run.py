@@ -33,14 +33,23 @@ from ..studies.lines.pipeline import check_pipeline, pipeline_estimate
 from .exits import CHECK_FAILED, INTERRUPTED
 
 
-def resume(folder: Path, modules: dict[str, SceneModule], *, live: str | None, bind: str, quiet: bool) -> None:
+def resume(
+    folder: Path, modules: dict[str, SceneModule], accepted: set[str] | None = None, *, live: str | None, bind: str,
+    quiet: bool,
+) -> None:  # fmt: skip
     """Continue an interrupted run in its folder; with `live`, a viewer shows the run from the checkpoint on.
 
-    `modules` maps the name of each scene to its Python module. `live`, `bind` and `quiet` are options of the command.
+    `modules` maps the name of each scene to its Python module. `accepted` are the scenes whose runs may be continued,
+    or None for all. `live`, `bind` and `quiet` are options of the command.
     """
     if not (folder / "scene.json").is_file():
         raise RunFolderError(f"resume = '{folder}': {wrong_folder(folder, 'scene.json')}")
     record, module = repeatable_scene(folder / "scene.json", modules)
+    if accepted is not None and record["scene"] not in accepted:
+        raise RunFolderError(
+            f"resume = '{folder}': is a run of the scene {record['scene']!r}; continue it with 'warpcrete run --resume "
+            f"{folder}'"
+        )
     if is_finished(folder):
         raise RunFolderError(
             f"resume = '{folder}': the run is already finished; start a new run with another folder for --out"

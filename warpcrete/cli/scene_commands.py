@@ -161,7 +161,10 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
                 f"resume = '{resume}': a run continues with the settings with which it began; leave out "
                 f"{', '.join(changed)}"
             )
-        job.resume(resume, scenes(), live=settings["live"], bind=settings["bind"], quiet=settings["quiet"])
+        same_test = importlib.import_module("warpcrete.scenes").methods(name).values()
+        job.resume(
+            resume, scenes(), {name, *same_test}, live=settings["live"], bind=settings["bind"], quiet=settings["quiet"]
+        )
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
     return options.SceneCommand(
