@@ -5,6 +5,8 @@ import re
 
 def failed_checks(output):
     """Return the names of the checks that the output of `warpcrete run` or `warpcrete study` calls failed."""
+    if found := re.search(r"^FAILED: checks of .*((?:\n  .*)+)", output, re.MULTILINE):
+        return set(re.findall(r"^  ([^,]*), in ", found[1], re.MULTILINE))
     found = re.search(r"^FAILED: .*?$", output, re.MULTILINE)
     return {name for names in re.findall(r"\(([^()]*)\)", found[0] if found else "") for name in names.split(", ")}
 

@@ -8,7 +8,7 @@ import pytest
 from click.shell_completion import ShellComplete
 
 from warpcrete.cli.main import cli
-from warpcrete.core.inputs.amounts import amount
+from warpcrete.core.inputs.amounts import UNITS, amount
 from warpcrete.core.inputs.hyphens import spelled
 from warpcrete.geometry.lines import shipped_lines
 from warpcrete.scenes import modules
@@ -53,7 +53,7 @@ VALUES = {
     "line x.yaml --concrete no": ["no1", "no2", "no3", "<files>"],
     "mix e": ["example-scc", "<files>"],
     "theory --concrete no": ["no1", "no2", "no3", "<files>"],
-    "theory --rest 10": ["10s", "10ms", "10min", "10h", "10hr"],
+    "theory --rest 10": [f"10{unit}" for unit in UNITS["s"]],
     "schema ": ["concrete", "line", "mix", "targets"],
     "reproduce ": ["xu", "zhan"],
     "reproduce zhan --only y": ["yielding-layer"],

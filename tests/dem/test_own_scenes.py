@@ -88,7 +88,7 @@ def test_a_loaded_run_says_where_its_bodies_are(tmp_path):
     done = run(drop(energy_balance=False), out=out)
     back = warpcrete.load(tmp_path / "run")
     file = tmp_path / "run" / "scene.usdc"
-    with pytest.raises(AttributeError, match=re.escape(f"their recorded frames are in {file}; warpcrete.Simulation(")):
+    with pytest.raises(AttributeError, match=re.escape(f"their recorded frames are in {file}; ")):
         _ = back.bodies
     assert not hasattr(back, "body") and "energy_balance_error" not in pickle.loads(pickle.dumps(back)).quantities
     file.unlink()

@@ -200,7 +200,7 @@ def test_the_command_takes_flow_and_concrete_from_the_file(tmp_path):
         ("[{straight: 0.3}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 0.6}, "
          "{bend: {to: left, radius: 0.2}}, {straight: 0.8}]", {}, "crosses the plane of its inlet again"),
         ("[{straight: 1}, {reducer: {to: 0.05, length: 0.2}}, {straight: 1}]", {},
-         r"^spacing = 0\.0125: is too coarse: at least 6 .* across the narrowest bore, 0\.05 m; use 0\.00833"),
+         r"^spacing = 0\.0125: is too coarse: at least 6 .* narrowest bore, 0\.05 m; use 0\.00454 .* 11 cells"),
         ("[{straight: 1}]", {"diameter": 0.08}, r"^diameter = 0\.08: has no effect unless 'line' is left out"),
         ("[{straight: 1}]", {"wall": "x.stl"}, r"^wall = '.*x\.stl': has no effect unless 'line' is left out"),
         ("[{straight: 1}]", {"slip_thickness": 0.06, "slip_viscosity": 900.0}, "^slip_thickness = 0.06"),
