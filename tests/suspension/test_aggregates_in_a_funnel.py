@@ -98,7 +98,7 @@ def test_aggregates_leave_with_the_mortar_until_light_is_seen(device):
     # quarter delay this; measured: 0.55 s.
     assert 0.35 < run.result["funnel_time"]["value"] < 0.8
     assert all(good for good, _ in scenes.modules()["funnel"].check(run).values())
-    assert any(name == "aggregates" for name, _ in warpcrete.methods.method_of(run.scene).report(run))
+    assert any(name == "aggregates in all" for name, _ in warpcrete.methods.method_of(run.scene).report(run))
 
 
 def test_aggregates_wider_than_the_outlet_of_a_quarter_are_refused():

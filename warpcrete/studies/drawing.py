@@ -235,7 +235,7 @@ def _panel(
             if each.name in theories:
                 between = theory.between(part, name, each) if numeric and each in study.compared else None
                 if numeric and each not in study.compared:
-                    between = [row[name] for row in part], [row[each.name] for row in part]
+                    between = [row.get(name, 0) for row in part], [row[each.name] for row in part]
                 line = _draw_theory(axes, x, y, between and tuple(np.array(between) * [[x_scale[0]], [y_scale[0]]]))
                 if not any(curve.get_label() == each.title for curve in curves):
                     line.set_label(each.title)
