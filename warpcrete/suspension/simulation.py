@@ -28,7 +28,7 @@ UNITS = SHARED_UNITS | {
 """Units of the columns of the time series that describe the aggregates."""
 
 
-class SuspensionSimulation(AggregateRun, FreeSimulation):
+class SuspensionSimulation(AggregateRun, FreeSimulation):  # pyright: ignore[reportIncompatibleVariableOverride]
     """Simulation of a mortar with aggregates; :class:`warpcrete.Simulation` explains its parameters and errors."""
 
     scene_type = SuspensionScene

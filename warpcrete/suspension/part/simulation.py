@@ -23,7 +23,7 @@ STEADINESS = 0.05
 """Largest relative difference of the mean frictional pressures in the third and the last quarter of a steady run."""
 
 
-class PartSuspensionSimulation(AggregateRun, PartSimulation):
+class PartSuspensionSimulation(AggregateRun, PartSimulation):  # pyright: ignore[reportIncompatibleVariableOverride]
     """Simulation of mortar with aggregates in a part of a pump line.
 
     :class:`warpcrete.Simulation` explains its parameters and errors.
