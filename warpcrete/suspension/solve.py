@@ -313,18 +313,17 @@ class CoupledSolve:
         """
         change, effect = self.directions[number]
         self._weigh(effect)
-        (size,) = self._products((1, effect))
+        size, along = self._products((1, effect), (1, self.residual))
         for _ in range(PASSES if number else 0):
-            before = size
+            before = float(size)
             for first, count, changes, effects in self.directions.before(number):
                 factors = self.directions.factors(first, self._products((count, effects)))
                 self._subtract(factors, changes, change)
                 self._subtract(factors, effects, effect)
             self._weigh(effect)
-            (size,) = self._products((1, effect))
+            size, along = self._products((1, effect), (1, self.residual))
             if size > CANCELLED**2 * before:
                 break
-        (along,) = self._products((1, self.residual))
         self.directions.add_norm(float(size) if size > 0 else np.inf)
         return float(along / size) if size > 0 else 0.0
 
