@@ -7,8 +7,10 @@ from pumping import command
 import warpcrete
 from warpcrete import RunFolderError, SceneError, scenes
 from warpcrete.core.inputs.amounts import amount
+from warpcrete.core.run import run as run_module
 from warpcrete.core.run.folder_kinds import wrong_folder
 from warpcrete.core.run.run import viewer
+from warpcrete.core.run.viewer import MAGIC
 from warpcrete.core.units import rounded
 from warpcrete.mix.mix import mix_of
 from warpcrete.studies.cases import cases_of
@@ -170,6 +172,17 @@ def test_the_viewer_names_the_recorded_runs_of_a_study(tmp_path):
         (case / "run.rrd").write_bytes(content)
         assert "is empty or damaged, so it is not a recording" in refused(lambda: viewer(case), RunFolderError)
         assert "is empty or damaged" in refused(lambda: viewer(case / "run.rrd"), RunFolderError)
+
+
+def test_the_viewer_names_damaged_files_of_a_recording(tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr(run_module, "has_screen", lambda: False)
+    monkeypatch.setattr(run_module, "web_viewer", lambda recordings, bind: shown.extend(recordings))
+    (tmp_path / "run.rrd").write_bytes(MAGIC + b"rest")
+    (tmp_path / "run-1.rrd").write_bytes(b"")
+    with pytest.warns(UserWarning, match=r"run-1\.rrd: empty or damaged, so the viewer shows only a part of the run"):
+        viewer(tmp_path)
+    assert shown == [tmp_path / "run.rrd"]
 
 
 @pytest.mark.parametrize(

@@ -216,6 +216,8 @@ def test_friction_by_theory_of_a_slip_layer():
         tau = 251 + 893 * 1500e-6 / (np.pi * d**2 / 4)
         assert layer_gradient(scene, scene.stations.edges[edge]) == pytest.approx(4 * tau / d, rel=1e-9)
     assert layer_gradient(scenes.part_dem(**given, wall_friction=0.05), 0.0) is None
+    assert layer_gradient(scenes.part_dem(**given, friction=0.0), 0.0) is None
+    assert layer_gradient(scenes.part_dem(**given, friction=0.0, shapes="reference"), 0.0) is not None
     assert layer_gradient(scenes.part_dem(**given | dict(concrete="zhan-table1")), 0.0) is None
 
 

@@ -16,6 +16,7 @@ import warp as wp
 
 from ..core.device.device import checked_threads, parallel
 from ..core.device.footprint import footprint
+from ..core.device.kernel_files import run_clock
 from ..core.records import SceneArguments
 from ..core.run.coroutines import run_coroutine
 from ..core.run.forecast import Forecast, Probe, median_time
@@ -147,12 +148,9 @@ class _ShortenedCopy:
         table, report = pack(
             replace(fill, container=pilot), contact=self.scene.contact, seed=self.scene.seed, device=self.device,
             precision=precision, threads=checked_threads(threads),
-            progress=lambda done: marks.append(time.perf_counter()),
+            progress=lambda done: marks.append(run_clock()),
         )  # fmt: skip
-        # Some intervals between progress reports include the time in which kernels are loaded. Limit each interval to
-        # three times the median interval.
-        chunks = np.diff(marks)
-        packing_time = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
+        packing_time = marks[-1] - marks[0] if marks else 0.0
         if fill.pressure is not None and pilot is not container:
             # A packing to a given pressure consists of two packings: a trial packing, then the real packing.
             packing_time /= 2

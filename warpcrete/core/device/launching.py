@@ -88,9 +88,7 @@ def struct_arguments(kernel: Kernel, **structs: object) -> Arguments:
 def launch(kernel: Kernel, dim: Size, device: wp.Device, **named: object) -> None:
     """Launch `dim` tasks of a kernel once; `named` holds the kernel's arguments by parameter name."""
     if tasks_of(dim):
-        note_use(kernel.module)
-        if not kernel.module.execs:
-            load([kernel], device)
+        _load_if_missing(kernel, DEFAULT_BLOCK, device)
         launch_kernel(kernel, dim=dim, inputs=bound(kernel, named), device=device)
 
 
@@ -135,7 +133,7 @@ class Stage:
     def record(self) -> None:
         """Load the kernel and record its launch, without running it."""
         if self._command is None and tasks_of(self.dim):
-            note_use(self.kernel.module)
+            _load_if_missing(self.kernel, self.block, self.device)
             self._command = launch_kernel(
                 self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
                 block_dim=self.block,
@@ -182,7 +180,21 @@ def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
         kernel, block = (stage.kernel, stage.block) if isinstance(stage, Stage) else (stage, DEFAULT_BLOCK)
         block = block if parallel(device) else 1
         wanted[id(kernel.module), block] = kernel.module, block
-    left = deque(_in_order(wanted.values()))
+    _load_modules(wanted.values(), device)
+
+
+def _load_if_missing(kernel: Kernel, block: int, device: wp.Device) -> None:
+    """Load the module of a kernel for blocks of `block` threads, unless it has been loaded for this device."""
+    block = block if parallel(device) else 1
+    if (device.context, block) in kernel.module.execs:
+        note_use(kernel.module)
+    else:
+        _load_modules([(kernel.module, block)], device)
+
+
+def _load_modules(wanted: Iterable[tuple[KernelModule, int]], device: wp.Device) -> None:
+    """Compile pairs of a kernel module and a block size in parallel, or load them from the cache."""
+    left = deque(_in_order(wanted))
     start, count, reported = time.monotonic(), len(left), False
 
     def work() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..drawing.html import html_table
 from ..drawing.style import SERIES, legend_above, new_figure, open_frame, rgb
-from ..errors import RunFolderError, WarpcreteError, flag, one_of, refuse, with_suggestions
+from ..errors import RunFolderError, WarpcreteError, flag, one_of, refuse, warn, with_suggestions
 from ..inputs.origin import readable
 from ..narrowing import is_dict
 from ..records import Record
@@ -299,6 +299,8 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     found = [path for path in (recording, *parts) if is_recording(path)]
     if not found:
         raise RunFolderError(f"'{recording}': is empty or damaged, so it is not a recording (.rrd); repeat the run")
+    if damaged := [path.name for path in (recording, *parts) if path not in found]:
+        warn(f"'{run}': {', '.join(damaged)}: empty or damaged, so the viewer shows only a part of the run")
     return (web_viewer if web or not has_screen() else screen_viewer)(found, bind)
 
 

@@ -322,7 +322,7 @@ ON_PLATEAU = (
     "('end_pressure' is the mean in any case)"
 )
 """Text for users that says when a run has results about the plateau of its pressure."""
-WITH_LAYER = "the wall has a slip layer and no friction"
+WITH_LAYER = "the wall has a slip layer and no friction, and the stones do not roll"
 """Text for users that says when a run has a closed form of the friction."""
 
 QUANTITIES = (

@@ -88,13 +88,17 @@ def layer_gradient(scene: Scene, place: float) -> float | None:
 
     In plug flow, all stones slide along the lubrication layer at the mean velocity v of the concrete. The gradient is
     4 tau / d with the wall stress tau = c (tau_L0 + eta_L v), where c is the fraction COVERAGE of the wall on which the
-    layer acts. The result is None without a lubrication layer, and with friction of stones on the wall, because such
-    friction rises with the pressure.
+    layer acts. The result is None without a lubrication layer, and in two cases in which the equation does not hold:
+    with friction of stones on the wall, because such friction rises with the pressure, and for single spheres without
+    friction between them, because these roll along the layer.
     """
     law, pipe = scene.contacts.get(("aggregate", "wall")), scene.pipe
     if pipe is None or scene.stations is None or type(law) is not LubricationLayer:
         return None
     if type(law.contact) is not Contact or law.contact.friction > 0:
+        return None
+    spheres = scene.fill is not None and all(len(each.radii) == 1 for each in scene.fill.templates)
+    if spheres and type(scene.contact) is Contact and scene.contact.friction == 0:
         return None
     radius = float(scene.stations.bores.at(place))
     velocity = pipe.velocity * (pipe.radius / radius) ** 2
