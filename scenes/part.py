@@ -17,6 +17,7 @@ from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
 from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
+from warpcrete.core.inputs.yaml_files import merged
 from warpcrete.core.run.checks import NO_SAMPLE, with_cures
 from warpcrete.core.run.run import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
@@ -75,8 +76,8 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the parameter values that follow from the file of a pump line, a concrete or a mesh."""
-        said = {**parameters_from_line(values), **parameters_from_mesh(values)}
-        return {**said, **super().implied({**said, **values})}
+        said = merged(parameters_from_line(values), parameters_from_mesh(values))
+        return merged(said, super().implied(merged(said, values)))
 
     unit: Annotated[
         str,

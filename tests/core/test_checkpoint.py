@@ -223,8 +223,11 @@ def test_a_foreign_or_altered_checkpoint_is_refused_with_the_reason(saved):
     for key, value, says in (
         ("warpcrete checkpoint", 1, "has checkpoint format 1"), ("versions", {"warp": "0.1"}, "written by warp 0.1"),
         ("versions", None, "lacks data of the run"), ("contents", None, "lacks data"), ("contents", {}, "lacks data"),
+        ("precision", ..., "lacks data"), ("device", ..., "lacks data"), ("scene", ..., "lacks data"),
+        ("processor", ..., "lacks data"),
     ):  # fmt: skip
-        changed = whole | {"text": as_bytes(json.dumps(json.loads(whole["text"].tobytes()) | {key: value}).encode())}
+        text = json.loads(whole["text"].tobytes()) | {key: value}
+        changed = whole | {"text": as_bytes(json.dumps({k: v for k, v in text.items() if v is not ...}).encode())}
         del changed["digest"]
         np.savez(saved, **changed, digest=as_bytes(_digest(changed)))
         with pytest.raises(RunFolderError, match=says):

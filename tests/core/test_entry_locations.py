@@ -132,6 +132,18 @@ def test_values_of_elements_and_of_mixes_with_a_flow(tmp_path, text, expected):
     assert refused(lambda path: scenes.pipe(concrete=str(path)), tmp_path / "a.yaml", text).startswith(expected)
 
 
+@pytest.mark.parametrize("name", ["part", "part-dem", "tube", "channel", "slump", "funnel", "lbox", "jring"])
+def test_values_of_a_concrete_name_their_file_in_every_scene(tmp_path, name):
+    """Scenes with several sources of parameters, such as a part of a line, keep the file and line of each."""
+    module = scenes.modules()[name].scene
+    section, key = ("elements", "friction") if name == "part-dem" else ("flow", "viscosity")
+    text = f"base: no1\n{section}:\n  {key}: -1\n"
+    expected = rf"^a.yaml, line 3: (concrete flow )?{key} = -1"
+    (tmp_path / "a.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match=expected):
+        module(concrete=str(tmp_path / "a.yaml"))
+
+
 def test_impossible_constants_of_a_flow(tmp_path):
     text = "base: no1\nflow:\n  viscosity: 1e20 Pa s\n"
     said = refused(lambda path: scenes.tube(concrete=str(path)), tmp_path / "a.yaml", text)

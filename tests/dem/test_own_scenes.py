@@ -228,7 +228,7 @@ def test_a_report_tells_the_time_that_the_run_does_not_account_for(capsys):
     for took, words in ((10.6, ""), (21.0, ", and 11 s to compile kernels, set up and write files")):
         report(done, took=took)
         (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("time "))
-        assert line.endswith(f"10 s for 400 steps on cpu (50 per second after the first row of the series){words}")
+        assert line.endswith(f"10 s for 400 steps on cpu (50 per second while the steps run){words}")
 
 
 def test_a_warning_that_is_an_error_keeps_the_results(tmp_path):

@@ -299,8 +299,11 @@ def test_a_dosage_per_hundred_pounds_of_cement_is_an_amount_per_cubic_yard(tmp_p
     line = next(k for k, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1) if "acre" in text)
     with pytest.raises(SceneError, match=rf"^{path.name}, line {line}: mix parts: fly ash = '100 lbs/acre'"):
         read_mix(path)
-    with pytest.raises(SceneError, match=r"'250 ml/100 kg': is an amount per 100 kg of cement, but .* write ml/m3$"):
-        mix_of({"parts": {"water reducer": "250 ml/100 kg"}, "slump": "5 in"})
+    for dose, of, unit in (("250 ml/100 kg", "kg", "ml/m3"), ("0.8 kg/100 kg", "kg", "kg/m3"),
+                           ("800 g per 100 kg", "kg", "g/m3"), ("0.5 lb/cwt", "lb", "lb/yd3"),
+                           ("4 fl. oz. / cwt", "lb", "oz/yd3"), ("4oz/cwt", "lb", "oz/yd3")):  # fmt: skip
+        with pytest.raises(SceneError, match=rf"'{dose}': is an amount per 100 {of} of cement, but .* write {unit}$"):
+            mix_of({"parts": {"water reducer": dose}, "slump": "5 in"})
     load = {name: text.replace("/yd3", "") for name, text in parts.items()} | {"water reducer": "4 fl oz/cwt"}
     loaded = mix_of({"volume": "1 yd3", "parts": load, "slump": "5 in"})
     assert loaded.given.parts == pytest.approx(plain.given.parts)

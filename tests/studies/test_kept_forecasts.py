@@ -29,6 +29,7 @@ def clocks(monkeypatch):
     """Pretend that every call takes a millisecond, a step a fifth of that, and a rebuild or a sample twice as long."""
     ticks = itertools.count()
     monkeypatch.setattr(of_elements, "time", SimpleNamespace(perf_counter=lambda: 1e-3 * next(ticks)))
+    monkeypatch.setattr(of_elements, "run_clock", lambda: 1e-3 * next(ticks))
     monkeypatch.setattr(of_elements, "median_time", lambda call, device: (call() and 0.0) or 2e-3)
     monkeypatch.setattr(of_elements._ShortenedCopy, "step_time", lambda copy: 2e-4)
 

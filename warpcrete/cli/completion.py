@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from click.shell_completion import CompletionItem
 
-from ..core.inputs.amounts import accepted_units
+from ..core.inputs.amounts import unit_names
 from ..core.inputs.concretes import concrete, shipped
 from ..core.inputs.hyphens import hyphenated
 
@@ -25,8 +25,7 @@ def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[Co
 
 def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
     """Complete an amount: return the typed number followed by each unit that can be converted to `unit`."""
-    plain = [written for written in accepted_units(unit) if re.fullmatch(r"[a-zA-Z%][a-zA-Z0-9/%]*", written)]
-    return with_units(plain, incomplete)
+    return with_units([name for name in unit_names(unit) if re.fullmatch(r"[a-zA-Z%][a-zA-Z0-9/%]*", name)], incomplete)
 
 
 def with_units(units: Iterable[str], incomplete: str) -> list[CompletionItem]:

@@ -5,7 +5,7 @@ This module does not import the simulations, because they take longer to load th
 """
 
 import importlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,14 +21,14 @@ from ..core.inputs.limits import check_limit, check_whole
 from ..core.records import Record
 from ..core.run.files import next_folder, write_json
 from ..geometry.pipe_line import PipeLine
-from ..mix.blocking import CANNOT, blocking_rules, line_rules, narrowest, rule_lines, rule_records
+from ..mix.blocking import RuleVerdict, line_rules, narrowest, rule_lines, rule_records
 from ..mix.measurements import Layer
 from ..mix.mix import NO_AIR, Mix, factors_text
 from ..studies.lines.answers import pressure_text
 from ..studies.lines.fit import fit_line
 from ..studies.lines.fit_files import write_fit
 from ..studies.lines.fit_report import fit_lines
-from ..studies.lines.fittings import cells_of, check_cells, is_in_library
+from ..studies.lines.fittings import cells_of, check_cells, count_text, is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
 from ..studies.lines.losses import with_layer_factor
 from ..studies.lines.pressures import Stop
@@ -78,9 +78,9 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     unknown = [] if requested or at_once else [part for part in given.line.parts if not is_in_library(part)]
     for part in unknown:
         check_cells(part, settings["cells"], asked=False)
-    for part in unknown[:1]:
+    for part in unknown:
         click.echo(f"note: part {part.number}, {part.label}, is sharper than all parts in the table of simulated "
-                   f"parts, so it is simulated now, with {cells_of(part, settings['cells']):.2g} cells; this "
+                   f"parts, so it is simulated now, with {count_text(cells_of(part, settings['cells']))} cells; this "
                    "takes minutes, and --theory skips it", err=True)  # fmt: skip
     needed = () if settings["blocking"] is None else ("device", "threads")
     for name, usual in () if requested or unknown else FLOW_OPTIONS.items():
@@ -114,7 +114,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
                 f"m3/h', or leave out {' and '.join(needing)}"
             )
         if fit is None:
-            said = [*_verdict(given.mix), *_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
+            verdicts = _verdicts(given)
+            said = [*_warnings(verdicts), *_at_usual_flows(pipes, concrete, layer), "", *_rules(verdicts, given, None)]
         elif out is not None:
             with line_folder(out, {"line": pipes.name, "concrete": given.name, "flow": None, "method": "theory"}):
                 said += write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)
@@ -316,7 +317,8 @@ def _finish(
     added to the file.
     """
     others = [] if settings["fit"] is not None else _other_layers(line, given)
-    said = [*_verdict(given.mix), *said, *_factors(given), *_air(given), *others, "", *_rules(line, given.mix, folder)]
+    verdicts = _verdicts(given)
+    said = [*_warnings(verdicts), *said, *_factors(given), *_air(given), *others, "", *_rules(verdicts, given, folder)]
     if folder is not None:
         write_lines(said, folder)
     click.echo("\n" + "\n".join(said))
@@ -328,10 +330,15 @@ def _finish(
         click.echo("\n" + "\n".join(more))
 
 
-def _verdict(mix: Mix | None) -> list[str]:
-    """Return lines of text that say first that the concrete cannot be pumped, if its slump says so."""
-    rules = [] if mix is None else blocking_rules(mix.given, None)
-    return [line for rule in rules if CANNOT in rule.found for line in (f"WARNING: {rule.rule}: {rule.found}", "")]
+def _warnings(verdicts: Iterable[RuleVerdict]) -> list[str]:
+    """Return lines of text on each rule by which the concrete blocks the line; they stand above all other lines."""
+    return [text for each in verdicts if each.verdict == "blocks"
+            for text in (f"WARNING: {each.rule}: {each.found}", "")]  # fmt: skip
+
+
+def _verdicts(given: LineInputs) -> list[RuleVerdict]:
+    """Return the verdicts of all rules of practice on whether the concrete of `line_inputs` blocks the line."""
+    return line_rules(given.line, None if given.mix is None else given.mix.given)
 
 
 def _air(given: LineInputs) -> list[str]:
@@ -366,16 +373,15 @@ def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
     return texts
 
 
-def _rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> list[str]:
+def _rules(verdicts: Sequence[RuleVerdict], given: LineInputs, folder: Path | None) -> list[str]:
     """Return lines of text on whether the line and its concrete satisfy the rules of practice against blocking.
 
-    If `folder` is not None, also write these verdicts to the file blocking.json in this folder.
+    If `folder` is not None, also write the `verdicts` of these rules to the file blocking.json in this folder.
     """
-    verdicts = line_rules(line, None if mix is None else mix.given)
-    part = narrowest(line)
-    where = f"narrowest part {part.number}, {part.label}, {both(line.customary, 'mm', part.narrow)}"
+    part = narrowest(given.line)
+    where = f"narrowest part {part.number}, {part.label}, {both(given.line.customary, 'mm', part.narrow)}"
     text = rule_lines(verdicts, where)
-    if mix is None:
+    if given.mix is None:
         text.append(
             "unknown  all rules on the mix: the concrete has no mix; 'warpcrete mix --help' shows how to write it"
         )

@@ -399,7 +399,7 @@ def main() -> None:
             text = _unknown_option(error, text)
         elif "unexpected extra argument" in text:
             text += "; put a value that contains a space in quotes, as in --flow '5 m3/h'"
-        elif "requires an argument" in text:
+        elif "requires an argument" in text and "'--stone'" in text:
             text = f"{text.rstrip('.')}; put a value that begins with # in quotes, as in --stone '#57'"
         _fail(text, 2)
     except (click.Abort, KeyboardInterrupt):

@@ -232,7 +232,7 @@ def report(run: Run, more: Iterable[tuple[str, str]] = (), took: float = 0.0) ->
     total = sum(number(speed[key]) for key in ("packing_time", "settling_time", "wall_time") if key in speed)
     rest = took - total
     extra = f", and {rest:.0f} s to compile kernels, set up and write files" if rest >= 1 else ""
-    rate = f"{rate_text(number(speed['steps_per_second']))} per second after the first row of the series"
+    rate = f"{rate_text(number(speed['steps_per_second']))} per second while the steps run"
     show("time", f"{total:.0f} s for {result['steps']} steps on {result['provenance']['device']} ({rate}){extra}")
     for name, check in result.get("checks", {}).items():
         show("check", f"{'ok  ' if check['passed'] else 'FAIL'} {name}: {check['found']}")

@@ -4,8 +4,7 @@ import importlib
 import importlib.util
 import os
 import re
-from collections.abc import Container
-from itertools import pairwise
+from itertools import chain
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -37,6 +36,11 @@ def by_method(arguments: list[str]) -> list[str]:
     For example, `slump --method dem` becomes `slump-dem`. `slump --method suspension` becomes `slump` with the
     parameters of aggregates that the scene sets for this method, unless the words state them.
     """
+    return _by_method(arguments)[0]
+
+
+def _by_method(arguments: list[str]) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the result of :func:`by_method`, and the added options with their values."""
     left, method = [], None
     words = iter(arguments)
     for word in words:
@@ -48,7 +52,7 @@ def by_method(arguments: list[str]) -> list[str]:
         else:
             method = value
     if method is None:
-        return left
+        return left, []
     place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
     if place is None:
         raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
@@ -62,14 +66,9 @@ def by_method(arguments: list[str]) -> list[str]:
     known = {word.partition("=")[0] for word in left}
     bend = "--unit=bend" in "=".join(left)
     values = scenes.suspended(name, bend) if method == "suspension" else {}
-    words = {f"--{key.replace('_', '-')}": str(value) for key, value in values.items()}
-    more = [text for flag, value in words.items() if flag not in known for text in (flag, value)]
-    return [*left[: place + 1], *more, *left[place + 1 :]]
-
-
-def _is_added(pair: tuple[str, str], stated: Container[str]) -> bool:
-    """Return whether two words are an option and its value that :func:`by_method` added to the `stated` words."""
-    return pair[0].startswith("--") and pair[0] not in stated
+    options = ((f"--{key.replace('_', '-')}", str(value)) for key, value in values.items())
+    added = [(option, value) for option, value in options if option not in known]
+    return [*left[: place + 1], *chain.from_iterable(added), *left[place + 1 :]], added
 
 
 def titles() -> dict[str, str]:
@@ -87,9 +86,7 @@ class LazyGroup(Commands):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         try:
-            stated = {word.partition("=")[0] for word in args}
-            args = by_method(args)
-            ctx.meta[METHOD_DEFAULTS] = [pair for pair in pairwise(args) if _is_added(pair, stated)]
+            args, ctx.meta[METHOD_DEFAULTS] = _by_method(args)
         except (click.UsageError, WarpcreteError):
             # Ignore errors while a shell completes the command line, because its last word is not complete yet.
             if not ctx.resilient_parsing:

@@ -235,12 +235,14 @@ def known_names(word: object, known: Iterable[object]) -> str:
 
 def refuse_unknown_settings(function: Callable[..., object], settings: Iterable[str]) -> None:
     """Raise :class:`SceneError` about the first of the `settings` that `function` does not accept as a keyword."""
-    known = [each.name for each in inspect.signature(function).parameters.values() if each.kind in KEYWORDS]
+    parameters = inspect.signature(function).parameters.values()
+    if any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters):
+        return
+    known = [each.name for each in parameters if each.kind in KEYWORDS and each.name != "self"]
     for name in settings:
         if name not in known:
             called = function.__qualname__.removesuffix(".__init__").removeprefix("run_")
-            settings = [each for each in known if each != "self"]
-            refuse("setting", name, f"is not a setting of {called}", known_names(name, settings))
+            refuse("setting", name, f"is not a setting of {called}", known_names(name, known))
 
 
 def with_suggestions(function: Callable[P, T]) -> Callable[P, T]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import SceneError, one_line, one_of, positive, refuse, suggested
-from ..core.inputs.amounts import amount, bare_number, is_customary, written_unit
+from ..core.inputs.amounts import amount, bare_number, customary_unit, is_customary, written_unit
 from ..core.inputs.concretes import KEYS as CONCRETE_KEYS
 from ..core.inputs.concretes import OF_MIXES, is_file
 from ..core.inputs.limits import check_limit, check_velocity, warn
@@ -169,8 +169,7 @@ def _check_units(entries: Sequence[Mapping[str, object]]) -> None:
         value = said.get("length") if isinstance(said, Mapping) else said
         if kind in ("straight", "hose", "valve") or isinstance(said, Mapping):
             lengths.append((number, kind, value))
-    units = [written_unit([value], "m") for _, _, value in lengths if is_customary(value)]
-    unit = next((each for each in units if each not in (None, "in")), None)
+    unit = customary_unit((value for _, _, value in lengths if written_unit([value], "m") != "in"), "m")
     bare = [(number, kind, value) for number, kind, value in lengths if bare_number(value)]
     if unit is not None and bare:
         number, kind, value = bare[0]

@@ -79,10 +79,6 @@ CHECK_LIST = "Japanese check list, http://pmkujira.sakura.ne.jp/Exsokuryo/Free/K
 BLEEDING = "Browne & Bamforth 1977; Kaplan, de Larrard & Sedran 2005"
 
 
-CANNOT = "cannot be pumped"
-"""Words in the finding of a rule that a concrete is too stiff for any pump."""
-
-
 @dataclass(frozen=True)
 class RuleVerdict:
     """Verdict of one rule of practice on whether concrete will block a pump line."""
@@ -318,8 +314,9 @@ def slump(mix: MixEntries) -> RuleVerdict:
         )
     words = f"slump {shown(mix.slump)}; {shown(usual, largest)} are usual"
     if mix.slump < usual - 1e-9:
-        limit = f"; concrete below {shown(least)} {CANNOT}" if mix.slump < least else ""
-        return RuleVerdict(name, "risky", words + limit, "raise the slump with a plasticizer, not with water", source)
+        stiff, change = mix.slump < least - 1e-9, "raise the slump with a plasticizer, not with water"
+        limit = f"; concrete below {shown(least)} cannot be pumped" if stiff else ""
+        return RuleVerdict(name, "blocks" if stiff else "risky", words + limit, change, source)
     if mix.slump > largest + 1e-9 and (mix.thickener or mix.plasticizer):
         cause = "superplasticizer" if mix.plasticizer else "viscosity-modifying admixture"
         return RuleVerdict(name, "fine", f"{words}; a {cause}, as in this mix, allows more", "", source)

@@ -303,9 +303,12 @@ def _check_stated(name: str, value: object) -> None:
         hint = f"a US sack of cement has 94 lb: write '{94 * float(sacks[1]):g} lb/yd3' if they are per cubic yard"
         refuse(field, value, "is a number of sacks, but must be a mass per volume of concrete", hint)
     if (per := re.search(r"\bcwt\b|(?:/|\bper)\s*100\s*(lb|kg)", text)) is not None:
-        of, masses, volume, unit = (
-            ("kg", "kilograms", "metre", "ml/m3") if per[1] == "kg" else ("lb", "pounds", "yard", "oz/yd3")
+        of, masses, volume, units = (
+            ("kg", "kilograms", "metre", {"ml": "ml/m3", "g": "g/m3", "": "kg/m3"})
+            if per[1] == "kg"
+            else ("lb", "pounds", "yard", {"oz": "oz/yd3", "": "lb/yd3"})
         )
+        unit = next(full for short, full in units.items() if re.search(rf"[0-9.]\s*(fl\.?\s*)?{short}\b", text, re.I))
         hint = (f"multiply it by the {masses} of cement, slag and ash in a cubic {volume}, divide by 100, and write "
                 f"{unit}")  # fmt: skip
         refuse(field, value, f"is an amount per 100 {of} of cement, but must be an amount per volume of concrete", hint)

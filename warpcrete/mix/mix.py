@@ -406,4 +406,5 @@ def completed(name: str) -> NamedConcrete:
     if known_concrete.mix is None or mix is None:
         return known_concrete
     elements = merged(known_concrete.elements, mix.elements, known_concrete.mix.elements)
-    return replace(known_concrete, elements=elements, flow=merged(known_concrete.flow, mix.flow))
+    flow = merged(known_concrete.flow, mix.flow, known_concrete.mix.flow)
+    return replace(known_concrete, elements=elements, flow=flow)

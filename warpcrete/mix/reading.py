@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
-from ..core.inputs.amounts import LONGEST, amount, bare_number, is_amount, is_customary, written_unit
+from ..core.inputs.amounts import LONGEST, amount, bare_number, customary_unit, is_amount, is_customary
 from ..core.inputs.concretes import FACTORS_BELONG, MISPLACED_FACTORS
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
@@ -341,8 +341,7 @@ def _density(given: Mapping[str, object], heavy: float) -> tuple[float, bool, di
 
 def _check_units(parts: Mapping[str, object]) -> None:
     """Warn about ingredients without a unit beside ingredients in customary US units."""
-    units = [written_unit([value], "kg/m3") for value in parts.values() if is_customary(value)]
-    unit = next((each for each in units if each is not None), None)
+    unit = customary_unit(parts.values(), "kg/m3")
     bare = [name for name, value in parts.items() if bare_number(value)]
     if unit is None or not bare:
         return

@@ -8,7 +8,8 @@ from .pipe import FORMS, Concrete, Line, Steady, after_rest, flow_of_pressure, k
 
 MEANINGS = (
     "forms: pipe = round pipe; plane = channel between two planes, as wide as the pipe; paper = equations for two "
-    "dimensions as Xu, Li & Jiang (2021) print them, only for comparison with their figures"
+    "dimensions as Xu, Li & Jiang (2021) print them, only for comparison with their figures; kaplan = simplified "
+    "equations for a round pipe by Kaplan, de Larrard & Sedran (2005)"
 )
 """Line below a table that explains the forms of the theory."""
 

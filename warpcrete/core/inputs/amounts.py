@@ -220,6 +220,15 @@ def unit_names(unit: str) -> list[str]:
     return list(factors.values())
 
 
+def customary_unit(values: Iterable[object], unit: str) -> str | None:
+    """Return the first customary US unit in which one of the `values` is written; None if there is none.
+
+    `unit` is the internal unit.
+    """
+    units = (written_unit([value], unit) for value in values if is_customary(value))
+    return next((each for each in units if each is not None), None)
+
+
 def written_unit(values: Iterable[object], unit: str) -> str | None:
     """Return the unit in which all `values` are written; None if they have no unit or different units.
 

@@ -110,7 +110,9 @@ def read(path: Path, scene: object, device: wp.Device, precision: str) -> SavedS
         raise RunFolderError(
             f"'{path}': has checkpoint format {stored!r}, but this version reads {FORMAT}; start the run again"
         )
-    if not is_dict(text.get("versions")) or not is_dict(text.get("contents")) or "run" not in text["contents"]:
+    described = {"precision", "device", "scene", "processor"} <= text.keys()
+    sections = is_dict(text.get("versions")) and is_dict(text.get("contents"))
+    if not described or not sections or "run" not in text["contents"]:
         raise RunFolderError(f"'{path}': lacks data of the run, which another version may have written; start the run "
                              "again")  # fmt: skip
     if text["versions"] != versions():

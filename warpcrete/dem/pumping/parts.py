@@ -15,6 +15,7 @@ from ...core.errors import between, refuse
 from ...core.inputs.concretes import is_file
 from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
+from ...core.inputs.yaml_files import merged
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import FACETS, Bores
 from ...geometry.lines import check_crossing, read_line
@@ -141,8 +142,8 @@ class PartElements(
     @classmethod
     def implied(cls, values: Mapping[str, object]) -> Mapping[str, Any]:
         """Return parameters, by name, from the files of a line, of a mesh and of a concrete in `values`."""
-        said = {**parameters_from_line(values), **parameters_from_mesh(values, WAYS[:1])}
-        return {**said, **super().implied({**said, **values})}
+        said = merged(parameters_from_line(values), parameters_from_mesh(values, WAYS[:1]))
+        return merged(said, super().implied(merged(said, values)))
 
 
 @dataclass(frozen=True)

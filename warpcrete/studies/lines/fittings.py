@@ -144,6 +144,11 @@ def cells_of(part: Part, cells: int) -> float:
     return 0.5 * math.pi / 4 * squares / (part.narrow / cells) ** 3
 
 
+def count_text(count: float) -> str:
+    """Return a large count as a text with two significant digits, such as "980,000"."""
+    return f"{float(f'{count:.2g}'):,.0f}"
+
+
 def check_cells(part: Part, cells: int, asked: bool = True) -> None:
     """Refuse to simulate a bend or reducer with too many cells; the limit is higher if the user requested it (`asked`).
 
@@ -152,9 +157,11 @@ def check_cells(part: Part, cells: int, asked: bool = True) -> None:
     count, most = cells_of(part, cells), MOST_CELLS if asked else MOST_UNASKED
     if part.kind not in ("bend", "reducer") or count <= most:
         return
-    problem = f"would be simulated with {count:.2g} cells, but at most {most:.2g} are possible"
+    problem = f"would be simulated with {count_text(count)} cells, but at most {most:,.0f} are possible"
     hint = "check the diameters of the line, or add the option --theory or a 'factor' of the part"
     if not asked:
-        problem = f"is sharper than all parts in the table, and its simulation with {count:.2g} cells may take hours"
+        problem = (
+            f"is sharper than all parts in the table, and its simulation with {count_text(count)} cells may take hours"
+        )
         hint += "; --simulate starts the simulation" if count <= MOST_CELLS else ""
     refuse(f"part {part.number}", part.label, problem, hint)
