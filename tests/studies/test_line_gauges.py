@@ -9,14 +9,17 @@ import yaml
 from click.testing import CliRunner
 from test_line_fit import KNOWN, LINE, TRUE, known, taps
 
+from warpcrete import SceneError
 from warpcrete.cli.main import cli
 from warpcrete.studies.lines.fit import fit_line
 from warpcrete.studies.lines.fit_band import with_gauges
 from warpcrete.studies.lines.fit_report import fit_lines
+from warpcrete.studies.lines.fittings import library_factor
 from warpcrete.studies.lines.line_fit import FittedConstant, LineFit
 from warpcrete.studies.lines.losses import line_of, straight_friction, with_layer_factor
 from warpcrete.studies.lines.taps import Tap
 from warpcrete.studies.lines.theory_line import line_by_theory
+from warpcrete.theory.pipe import Concrete
 
 
 def gauges(rng, error=2e4, noise=1e4, flows=(20, 35), parts=(0, 3, 5)):
@@ -219,15 +222,44 @@ def test_gauges_outside_of_what_was_expected_are_a_surprise():
 
 
 def test_the_report_names_gauges_beyond_their_error_and_repeated_readings_that_differ():
-    """A gauge that shows 0.5 bar too much, and one gauge with two readings at one flow, are named with their lines."""
+    """A gauge that shows 0.5 bar too much or too little, and one gauge with two readings at one flow, are named with their lines."""
     points = [replace(tap, row=row) for row, tap in enumerate(taps(flows=(20, 35), parts=(0, 1, 3, 5)), 2)]
     good = "\n".join(fit_lines(fit_line(KNOWN, TRUE, points, gauge=5e4), KNOWN))
     assert "deviates from" not in good and "deviate from" not in good and "state different pressures" not in good
     far = max(tap.place for tap in points)
-    wrong = [replace(tap, pressure=tap.pressure + 5e4) if tap.place == far else tap for tap in points]
-    assert f"most of all the gauge at {far:.4g} m, by -0." in "\n".join(
-        fit_lines(fit_line(KNOWN, TRUE, wrong, gauge=4e4), KNOWN)
-    )
+    for sign, words in ((1, "more"), (-1, "less")):
+        wrong = [replace(tap, pressure=tap.pressure + sign * 5e4 * (tap.place == far)) for tap in points]
+        text = "\n".join(fit_lines(fit_line(KNOWN, TRUE, wrong, gauge=4e4), KNOWN))
+        assert f"the gauge at {far:.4g} m, which shows 0.47 bar {words} than the fit: a gauge, its place" in text
     twice = [*points, replace(points[0], pressure=points[0].pressure + 1e5, row=20)]
     said = "\n".join(fit_lines(fit_line(KNOWN, TRUE, twice, gauge=5e4), KNOWN))
     assert f"lines {points[0].row} and 20 of the file state different pressures for one gauge and one flow" in said
+
+
+def winding(factor, layer, flows=(20, 40)):
+    """Return a line with six bends, and exact pressures before, between and behind them, of bends with a `factor`."""
+    bends = [x for to in ("left", "up", "level") for x in ({"bend": to}, {"straight": 1})]
+    line = line_of({"diameter": "125 mm", "parts": [{"straight": 6}, *bends, *bends, {"straight": 20}]})
+    true = replace(line, parts=tuple(replace(p, factor=factor) if p.kind == "bend" else p for p in line.parts))
+    found = []
+    for flow in flows:
+        places, course = line_by_theory(true, layer, flow / 3600).course(lambda x: x.friction + x.weight)
+        found += [Tap(place, float(np.interp(place, places, course)), flow / 3600, 2)
+                  for place in (0.0, 3.0, 6.0, line.length - 20, line.length - 10)]  # fmt: skip
+    return line, found
+
+
+@pytest.mark.parametrize("viscosity", [12e3, 20e3])
+def test_bends_with_more_friction_than_no_slip_explains_are_fitted(viscosity):
+    """With the factors of the table, the friction of the bends would need a concrete without slip."""
+    stiff = Concrete(density=2400, viscosity=40, yield_stress=150, slip_viscosity=viscosity, slip_yield=20)
+    line, points = winding(3.0, stiff)
+    by_table = replace(line, parts=tuple(replace(p, factor=library_factor(p)) if p.kind == "bend" else p
+                                         for p in line.parts))  # fmt: skip
+    with pytest.raises(SceneError, match="larger than that of a concrete without slip"):
+        fit_line(by_table, stiff, points, gauge=2e3)
+    fit = fit_line(line, stiff, points, gauge=2e3)
+    assert fit.bend_factor == pytest.approx(3.0, rel=1e-3)
+    assert fit.constants[0].value == pytest.approx(viscosity, rel=1e-3)
+    with pytest.raises(SceneError, match="larger than that of a concrete without slip"):
+        fit_line(line, stiff, [replace(tap, pressure=2 * tap.pressure) for tap in points], gauge=2e3)

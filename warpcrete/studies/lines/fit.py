@@ -76,7 +76,7 @@ def fit_line(
       published measurements, unless only this factor makes the gauges agree with each other. It is also not fitted if
       the band of the layer is narrower without it, because the gauges hardly distinguish bends from the layer. Each
       bend then keeps its factor from the table of simulated bends, and the band of the layer contains the effect of
-      published factors.
+      published factors. If the fit without this factor is impossible, the result is the fit with it.
 
     `prior` describes the slip layer that was expected before the measurement: two concretes, whose layers are at the
     lower and at the upper end of the layer's uncertainty band. :func:`.with_known` combines it with the fit. If no slip
@@ -104,23 +104,34 @@ def fit_line(
     low, high = known_yields(concrete)
     widest = 0.5 * (high - low)
 
-    def finished(factor: bool) -> LineFit:
-        fit = _fitted(line, concrete, taps, factor, gauge, widest)
+    def finished(fit: LineFit) -> LineFit:
         if prior is not None:
             fit = with_known(fit, line, concrete, prior)
         fit = with_expected(with_gauges(fit, line, concrete), line, concrete, prior)
         return with_later_use(with_yields(fit, line, concrete, yields), line, concrete)
 
-    by_table, with_bends = finished(False), None
+    with_bends = None
     if any(is_free(part) for part in line.parts):
         # Errors of the gauges may lead to an impossible factor of bends, which raises an error. Ignore this error, and
         # keep the fit without this factor.
         with suppress(SceneError):
-            with_bends = finished(True)
-    if with_bends is None or not with_bends.constants[2].fitted:
+            with_bends = _fitted(line, concrete, taps, True, gauge, widest)
+    if with_bends is not None and not with_bends.constants[2].fitted:
+        with_bends = None
+    try:
+        by_table = finished(_fitted(line, concrete, taps, False, gauge, widest))
+    except SceneError:
+        # Bends may have so much more friction than the table states that no slip layer explains it.
+        if with_bends is None:
+            raise
+        return finished(with_bends)
+    if with_bends is None:
         return by_table
-    resolves = by_table.contradiction is not None and with_bends.contradiction is None
-    if not resolves and not _is_better_than_published(with_bends.constants[2]):
+    better = _is_better_than_published(with_bends.constants[2])
+    if not better and by_table.contradiction is None:
+        return by_table
+    with_bends = finished(with_bends)
+    if not better and with_bends.contradiction is not None:
         return by_table
     return min(by_table, with_bends, key=lambda fit: fit.width)
 

@@ -140,14 +140,15 @@ def _beyond(fit: LineFit, customary: bool) -> list[str]:
     if not far:
         return []
     worst = max(far, key=lambda place: abs(means[place]))
+    deviation = abs(means[worst])
     cause = ""
     if len(fit.constants) > 2 and fit.bend_factor is None:
         cause = ", or bends have more or less friction than the table states"
     return [
         f"- {len(far)} of {len(means)} gauges {'deviates' if len(far) == 1 else 'deviate'} from the fit by more than "
-        f"the error limit, most of all the gauge at {both(customary, 'm', worst)}, by "
-        f"{means[worst] / 1e5:+.2g} bar{beside(customary, 'psi', means[worst])}: "
-        f"a gauge, its place or a flow is wrong{cause}"
+        f"the error limit, most of all the gauge at {both(customary, 'm', worst)}, which shows "
+        f"{deviation / 1e5:.2g} bar{beside(customary, 'psi', deviation)} {'more' if means[worst] < 0 else 'less'} than "
+        f"the fit: a gauge, its place or a flow is wrong{cause}"
     ]
 
 
