@@ -21,7 +21,7 @@ from warpcrete.dem.measure.blockage_results import blocked_words
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping.parameter_groups import index_settings
 from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, pumping_knobs
-from warpcrete.dem.scene.checks import energy_check, overlap_words
+from warpcrete.dem.scene.checks import OUTFLOW_CHECK, energy_check, overlap_words
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.dem.scene.containers import PipeContainer
 from warpcrete.dem.scene.scene import PipeUnit, PressureProbe, Published, Rest, Scene, Stations
@@ -119,7 +119,7 @@ CURES = {
     "not blocked": "a smaller --size-max, or a larger --diameter; a larger --modulus if soft aggregates are compressed",
     "plug holds": "a smaller --plug-ball, or more --plug-layers",
     "enough aggregates": "a smaller --size-max, or a larger --diameter",
-    "outflow equals inflow": "a longer --travel, or a larger --modulus",
+    OUTFLOW_CHECK: "a longer --travel, or a larger --modulus",
     "plateau": "a longer --travel",
 }
 
@@ -162,7 +162,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
         )
     if "flux_ratio" in result and not blocked:
         ratio = number(result["flux_ratio"])
-        found["outflow equals inflow"] = (abs(ratio - 1) <= FLUX_TOLERANCE, _flux_words(ratio))
+        found[OUTFLOW_CHECK] = (abs(ratio - 1) <= FLUX_TOLERANCE, _flux_words(ratio))
     if "plateau_pressure" in result:
         plateau = number(result["plateau_pressure"])
         found["plateau"] = (math.isfinite(plateau), f"{plateau / 1e3:.4g} kPa")

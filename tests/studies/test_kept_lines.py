@@ -12,6 +12,7 @@ import trimesh
 
 from warpcrete.core.run.files import write_json
 from warpcrete.core.units import quantity
+from warpcrete.dem.scene.checks import OUTFLOW_CHECK
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.lines import line_of
 from warpcrete.mps.common.mixes import concrete_of
@@ -242,6 +243,26 @@ def test_runs_of_a_line_by_elements_are_kept(kind, line, meshed, tmp_path, monke
         monkeypatch.setattr(by_elements, "method_of", lambda scene, many=many: many)
         with pytest.raises(error):
             by_elements.run_elements(line, "zhan", FLOW, out=tmp_path / "other", device="cpu")
+
+
+@pytest.mark.parametrize(("ratio", "fails"), [(0.4, False), (1.5, True), (float("nan"), True), (None, False)])
+def test_only_too_small_an_outflow_of_a_part_is_a_remark(line, monkeypatch, ratio, fails):
+    """An outflow larger than the inflow is no compression, so it stays a failed check; old runs have no checks."""
+    columns = {"axial_stress": np.array([0.0, 1e3, 2e3, 5e3]), "wall_stress": np.array([1.0, 50.0, 70.0, 110.0]),
+               "bulk_density": np.full(4, 2300.0)}  # fmt: skip
+
+    def run_of(scene):
+        checks = {} if ratio is None else {"checks": {OUTFLOW_CHECK: {"passed": False, "found": "much"}}}
+        result = {"middle_ratio": quantity(1.2, "1"), "flux_ratio": quantity(ratio or 1.0, "1"), **checks}
+        return SimpleNamespace(result=result, tables={"stations": SimpleNamespace(columns=columns)}, scene=scene)
+
+    monkeypatch.setattr(by_elements, "previous_run", lambda folders, scene, digest: scene)
+    monkeypatch.setattr(by_elements, "load", run_of)
+    found = by_elements.run_elements(line, "zhan", FLOW)
+    names = [by_elements._run_name(key, part, 0) for key, part in by_elements._kinds(line)]
+    assert found.failed == ({name: [f"{OUTFLOW_CHECK}: much"] for name in names} if fails else {})
+    remarks = [remark for remark in found.remarks if remark.endswith(": much") and "FAILED" not in remark]
+    assert remarks == ([f"{name}: much" for name in dict.fromkeys(names)] if ratio == 0.4 else [])
 
 
 def test_a_probability_of_blocking_is_kept(line):

@@ -222,7 +222,7 @@ def test_gauges_outside_of_what_was_expected_are_a_surprise():
 
 
 def test_the_report_names_gauges_beyond_their_error_and_repeated_readings_that_differ():
-    """A gauge that shows 0.5 bar too much or too little, and one gauge with two readings at one flow, are named with their lines."""
+    """A gauge that is off by 0.5 bar, and one gauge with two readings at one flow, are named with their lines."""
     points = [replace(tap, row=row) for row, tap in enumerate(taps(flows=(20, 35), parts=(0, 1, 3, 5)), 2)]
     good = "\n".join(fit_lines(fit_line(KNOWN, TRUE, points, gauge=5e4), KNOWN))
     assert "deviates from" not in good and "deviate from" not in good and "state different pressures" not in good

@@ -11,7 +11,7 @@ from warpcrete.core.errors import SceneError
 from warpcrete.core.inputs.amounts import written_unit
 from warpcrete.core.run.method import Quantity
 from warpcrete.core.units import rounded
-from warpcrete.studies.cases import Case
+from warpcrete.studies.cases import Case, cases_of
 from warpcrete.studies.drawing import THEORY_POINTS
 from warpcrete.studies.study import written_units
 from warpcrete.studies.study_result import Study
@@ -117,10 +117,31 @@ def test_a_figure_has_theory_that_tables_leave_out_and_short_legends(tmp_path):
         result["friction"] = {"value": 0.5 * result["pressure"]["value"], "unit": "Pa"}
     (axes,) = study.plot().axes
     dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
-    exact = [by_theory(flow / 3600, 100.0) / 1e3 for flow in (5, 10, 20)]
+    exact = [by_theory(flow / 3600, 100.0) / 1e3 for flow in np.linspace(5, 20, THEORY_POINTS)]
     assert len(dashed) == 2 and list(dashed[1].get_ydata()) == pytest.approx(exact)
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
     assert texts[:4] == ["yield stress 25 Pa", "yield stress 100 Pa", "pressure", "friction"] and len(texts) == 6
+
+
+def test_theory_that_no_closed_form_gives_joins_its_values_at_the_cases(tmp_path):
+    """Discrete elements have no closed form between the cases, but their results state the friction by theory."""
+    study = flows_of(tmp_path)
+    study.scene = "pipe"
+    study.quantities = [Quantity("pressure", "Pa", lambda k: None, compared=True)]
+    dashed = [line for line in study.plot().axes[0].lines if line.get_linestyle() == "--"]
+    exact = [by_theory(flow / 3600, 100.0) / 1e3 for flow in (5, 10, 20)]
+    assert len(dashed) == 2 and list(dashed[1].get_ydata()) == pytest.approx(exact)
+
+
+@pytest.mark.parametrize(("one_at_a_time", "panels"), [(True, ["flow", "yield_stress"]), (False, ["flow"])])
+def test_a_study_of_one_parameter_at_a_time_has_a_panel_for_each(tmp_path, one_at_a_time, panels):
+    """All combinations of four flows and three yield stresses need one panel only, with a series for each stress."""
+    varied = {"flow": [1e-3, 2e-3, 4e-3, 8e-3], "yield_stress": [25.0, 50.0, 100.0]}
+    cases = cases_of({"flow": 2e-3, "yield_stress": 50.0}, varied, one_at_a_time=one_at_a_time, seeded=False)
+    results = {case.name: {"pressure": {"value": 1e3 + k, "unit": "Pa"}} for k, case in enumerate(cases)}
+    pressure = Quantity("pressure", "Pa", lambda k: None, compared=True)
+    study = Study(tmp_path, "tube", cases, [pressure], {}, results)
+    assert [axes.get_xlabel().replace(" ", "_") for axes in study.plot().axes] == panels
 
 
 def test_a_figure_shows_any_number_in_the_results_of_the_runs(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import textwrap
 import warnings
 from collections.abc import Mapping
@@ -62,8 +63,8 @@ def draw(
     if x is not None:
         one_of("x", x, names)
         names = [x]
-    elif quantity is None and len(names) > 1 and all(len(case.varied) == len(names) for case in study.cases):
-        # Every case has a value of every parameter, so that one panel with series shows all of them.
+    elif quantity is None and len(names) > 1 and _has_all_combinations(study, names):
+        # One panel with series shows all cases.
         names = [max(names, key=lambda name: len({str(case.varied[name]) for case in study.cases}))]
     compared = study.compared
     if quantity is not None:
@@ -104,6 +105,14 @@ def draw(
             axes.set_visible(bool(axes.lines or axes.containers))
     _make_room(figure)
     return figure
+
+
+def _has_all_combinations(study: Any, names: list[str]) -> bool:
+    """Return whether the cases of a study are all combinations of the values of the parameters `names`."""
+    if any(len(case.varied) < len(names) for case in study.cases):
+        return False
+    combinations = {tuple(str(case.varied[name]) for name in names) for case in study.cases}
+    return len(combinations) == math.prod(len(set(values)) for values in zip(*combinations))
 
 
 def _make_room(figure: Any) -> None:
@@ -233,8 +242,8 @@ def _panel(
             x = [at(row) + (0.0 if numeric else 0.08 * k) for row in part]
             y = np.array([row[each.name] for row in part]) * y_scale[0]
             if each.name in theories:
-                between = theory.between(part, name, each) if numeric and each in study.compared else None
-                if numeric and each not in study.compared:
+                between = theory.between(part, name, each) if numeric else None
+                if numeric and between is None and each.name not in theory.tabulated:
                     between = [row.get(name, 0) for row in part], [row[each.name] for row in part]
                 line = _draw_theory(axes, x, y, between and tuple(np.array(between) * [[x_scale[0]], [y_scale[0]]]))
                 if not any(curve.get_label() == each.title for curve in curves):
@@ -298,6 +307,8 @@ class _TheoryCurves:
 
     def __init__(self, study: Any) -> None:
         self.study, self.module = study, modules().get(study.scene)
+        self.tabulated = {each.name for each in study.compared}
+        """Names of the quantities in the study's table. Lines join the values of all other predictions."""
         self._known: dict[tuple[Any, ...], list[tuple[float, Mapping[str, float]]]] = {}
         """Points of the theoretical curves, by case and varied parameter. A point is a pair: a value of this parameter,
         and all quantities that theory predicts for it.

@@ -198,10 +198,11 @@ class Study:
     ) -> Figure:
         """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
-        If the cases are all combinations of several parameters, the horizontal axis shows the parameter with the most
-        values, and the series show the others. `quantity` selects one number in the results of the runs, such as
-        "pressure", which is drawn together with its closed-form prediction. `x` selects the varied parameter on the
-        horizontal axis. `unit` is the unit of this parameter, such as "m3/h", and `y_unit` is the unit of the quantity.
+        `quantity` selects one number in the results of the runs, such as "pressure", which is drawn together with its
+        closed-form prediction. `x` selects the varied parameter on the horizontal axis. `unit` is the unit of this
+        parameter, such as "m3/h", and `y_unit` is the unit of the quantity. Without `x`, each varied parameter has a
+        panel of its own. If `quantity` is also missing and the cases are all combinations of several parameters, there
+        is one panel, which shows the parameter with the most values on the horizontal axis, and the others as series.
         Raises :class:`SceneError` for names and units that the study does not have.
         """
         return draw(self, quantity, x, unit, y_unit)

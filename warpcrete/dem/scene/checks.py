@@ -14,6 +14,8 @@ LARGEST_MOMENTUM_ERROR = 0.01
 """Largest error of the momentum balance that a valid run may have, divided by the largest impulse."""
 LARGEST_OVERLAP = 2.0
 """Overlap, divided by the smaller radius, at which one sphere lies inside another (is swallowed)."""
+OUTFLOW_CHECK = "outflow equals inflow"
+"""Name of the check that as much concrete leaves a bend, taper or bore as enters it."""
 CURES = {
     "momentum balance": "precision='float64', or TimeStep(safety=0.1)",
     "no body swallowed": "stiffer contacts, or TimeStep(safety=0.1)",
