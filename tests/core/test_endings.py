@@ -15,6 +15,7 @@ import warpcrete
 from warpcrete import ConvergenceError, InstabilityError, Simulation, scenes
 from warpcrete.core.device.device import find_device
 from warpcrete.core.run.ending import REASONS, Ending
+from warpcrete.core.run.method import Quantity, results_of
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.record.run_folder import TableRecorder
 
@@ -121,6 +122,43 @@ def test_a_recorder_that_fails_at_the_end_is_the_reason(tmp_path):
             Simulation(scenes.channel(**FLOW), **CPU, **settings).run()
         result, why = ended(tmp_path / words)
         assert not result["finished"] and why.reason == "failed" and "broken" in why.message
+
+
+def broken(*unused):
+    raise ZeroDivisionError("broken")
+
+
+def test_results_that_cannot_be_computed_leave_the_series_and_the_error(tmp_path, monkeypatch):
+    """An error in the results of a run neither prevents its recordings nor hides the error that ended the run."""
+    flow = type(Simulation(scenes.channel(**FLOW), **CPU))
+    monkeypatch.setattr(flow, "sizes", broken)
+    for name, at, error, reason in (
+        ("complete", [], ZeroDivisionError, "failed"),
+        ("interrupted", [At(fails_with(KeyboardInterrupt()))], ZeroDivisionError, "interrupted"),
+        ("burst", [At(fails_with(InstabilityError("burst", time=0.5)))], InstabilityError, "unstable"),
+    ):
+        settings = dict(out=tmp_path / name, recorders=at, checkpoint_every=0)
+        with pytest.raises(error, match=r"broken|burst"):
+            Simulation(scenes.channel(**FLOW, duration=0.05), **CPU, **settings).run()
+        result, why = ended(tmp_path / name)
+        assert why.reason == reason and not result["finished"] and result["steps"] > 0
+        assert result["simulated_time"]["value"] == why.time > 0 and "provenance" in result
+        assert len((tmp_path / name / "series.csv").read_text(encoding="utf-8").splitlines()) > 2
+
+
+def test_results_count_the_steps_that_an_interruption_kept_the_host_from_counting():
+    simulation = Simulation(scenes.channel(**FLOW), **CPU)
+    simulation.begin()
+    simulation.flow.set_goal(steps=3)
+    simulation.flow.launch()
+    result = simulation.result(False).result
+    assert result["steps"] == 3 and result["simulated_time"]["value"] == simulation.flow.time > 0
+
+
+def test_a_quantity_that_cannot_be_computed_costs_only_itself():
+    wanted = [Quantity("first", "m", lambda known: 2.0), Quantity("second", "1", broken), Quantity("third", "1", float)]
+    with pytest.warns(UserWarning, match=r"the results lack second, which could not be computed: .*broken"):
+        assert results_of(wanted, 3) == {"first": {"value": 2.0, "unit": "m"}, "third": 3.0}
 
 
 def test_a_pump_run_that_bursts_before_its_first_row_leaves_a_result(tmp_path):

@@ -86,12 +86,17 @@ class ConvergenceError(InstabilityError):
     ) -> None:
         chosen = sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1})
         path = ", ".join(f"{history[k]:.2g}" for k in chosen if k < len(history))
-        looser = "a larger tolerance, " if what == "pressure" else ""
+        limit, cures = f" (maximum_iterations = {maximum})", ["a smaller 'time_step'"]
+        if what == "coupled":  # No parameter of a scene changes the limit of this solve.
+            limit, cures = "", ["a smaller time step ('time_step' or 'courant')"]
+        else:
+            cures += ["a larger tolerance"] if what == "pressure" else []
+            cures += ["more iterations ('maximum_iterations')"]
         super().__init__(
-            f"the {what} solve did not converge in {iterations} iterations (maximum_iterations = {maximum}); its "
-            f"residual is {residual:.3g}, after {path} in earlier iterations",
+            f"the {what} solve did not converge in {iterations} iterations{limit}; its residual is {residual:.3g}, "
+            f"after {path} in earlier iterations",
             time=time,
-            cure=f"a smaller 'time_step', {looser}more iterations ('maximum_iterations'), 'precision' float64",
+            cure=", ".join([*cures, "'precision' float64"]),
         )
         self.what, self.iterations, self.history, self.residual = what, iterations, history, residual
         self.maximum = maximum

@@ -86,7 +86,7 @@ def step_with_balance(flow: SuspensionFlow) -> Balance:
 
 
 def last_balance(flow: SuspensionFlow) -> Balance:
-    """Return the balance of the last time step, which must have been taken in this process."""
+    """Return the balance of the last time step, which this process must have completed."""
     bodies, solution = flow.aggregates.bodies, flow.coupled.solution
     velocity = bodies.velocity.numpy().astype(float) - solution.linear.numpy()
     velocity[:, 2] -= _hastened(flow)

@@ -189,6 +189,8 @@ class SuspensionFlow(GridFlow):
         leaving = [] if state.layout.periodic else sides if entrance is not None else sides[:-1]
         self.opens = sum(1 << n for n, side in enumerate(leaving) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
+        self.step_is_complete = False
+        """True if this process has completed the last step that it began; the arrays then describe this whole step."""
         self._build_stages()
 
     @property
@@ -230,16 +232,19 @@ class SuspensionFlow(GridFlow):
     def launch(self) -> None:
         """Take time steps until the flow reaches its goal, such as a time; the host launches every stage."""
         self.begin_goal()
-        while not self.flags.numpy()[int(HALTED)]:
+        # Read the progress after each step: the error of a failed solve states the time at the start of the step.
+        while not self.read_progress()[int(HALTED)]:
             self.take_step()
 
     def take_step(self) -> None:
         """Take one time step."""
+        self.step_is_complete = False
         for stage in self._before:
             stage()
         self.coupled.solve()
         for stage in self._after:
             stage()
+        self.step_is_complete = True
 
     def outcomes(self) -> dict[str, dict[str, float]]:
         """Return the numbers of iterations of the viscous and coupled solves in the last step, and the relative error.
@@ -261,3 +266,4 @@ class SuspensionFlow(GridFlow):
             {name.removeprefix("aggregate_"): a for name, a in found["arrays"].items() if name.startswith("aggregate_")}
         )
         super().load_state_dict(found)
+        self.step_is_complete = False

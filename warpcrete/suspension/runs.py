@@ -85,7 +85,8 @@ class AggregateRun(FlowRun):
     def aggregate_columns(self) -> dict[str, float]:
         """Return two columns of the time series: the smallest gap of any sphere, and the error of the coupled solve.
 
-        The gap is divided by the radius of the sphere, and the error by the flow's momentum.
+        The gap is divided by the radius of the sphere. The error is the residual of the coupled solve, relative to the
+        flow's momentum or to its change.
         """
         gap = self.flow.aggregates.smallest_gap() if self.flow.steps else 0.0
         return {"smallest_gap": min(gap, 1.0), "coupled_error": self.flow.coupled.error}
@@ -116,9 +117,10 @@ class AggregateRun(FlowRun):
 
         With a sieve curve, also return the stated fraction and the smallest simulated size. Smaller aggregates count as
         mortar. If only a half or a quarter is simulated, `count` is the number in this part, and `count_whole` includes
-        the mirror images. Both numbers are also single quantities of the run. The balance of momentum is that of the
-        last time step, along the last axis of the grid. It is missing if the coupled solve has not changed the flow
-        since the program started. Its error is larger if aggregates enter at a given speed.
+        the mirror images. The result also contains them as `aggregate_count` and `aggregate_count_whole`. The balance
+        of momentum is that of the last time step, along the last axis of the grid. It is missing if the last step is
+        incomplete, or if the program has taken no step since it started. Its error is larger if aggregates enter at a
+        given speed.
         """
         count = self.flow.aggregates.count
         whole = count * self.drawn_by(self).copies
@@ -129,7 +131,7 @@ class AggregateRun(FlowRun):
                 "stated_fraction": self.scene.aggregate_fraction,
                 "smallest": quantity(self.scene.diameters[0], "m"),
             }
-        if self.flow.coupled.outer == 0:
+        if not self.flow.step_is_complete:
             return numbers | {"aggregates": entry}
         last = last_balance(self.flow)
         momentum = {

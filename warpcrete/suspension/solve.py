@@ -39,10 +39,9 @@ NEGLIGIBLE = 0.1
 """Residual at which a pressure solve of the preconditioner may stop, as a fraction of the residual that the coupled
 solve accepts. A smaller residual would hardly improve the coupled solve."""
 PASSES, CANCELLED = 2, 0.1
-"""Number of times that a search direction is made orthogonal to earlier ones at most, and limit for a repetition.
-
-The work is repeated if it has reduced the norm of the direction's effect to less than the fraction CANCELLED. Without
-this, the residual of a slump test in single precision stopped falling at 3e-3."""
+"""PASSES: maximum number of times that a search direction is made orthogonal to all earlier ones. CANCELLED: the work
+is repeated if it has reduced the norm of the direction's effect to less than this fraction. Without the repetition, the
+residual of a slump test in single precision stopped falling at 3e-3."""
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. A solve that finds new contacts is repeated with these contacts."""
 ROUGH_ERROR, CERTAIN = 3e-2, 0.9
@@ -300,7 +299,8 @@ class CoupledSolve:
             if not factor:
                 break
         if self.error > tolerance:
-            raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
+            most = self.tolerances.outer
+            raise ConvergenceError(self.flow.time, "coupled", len(history) - 1, history, self.error, most)
 
     def _orthogonalise(self, number: int) -> float:
         """Make the effect of a search direction orthogonal to earlier effects, and return the best step along it.

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..drawing.display import Display
+from ..errors import warn
 from ..units import Quantified, number, quantity, shown
 from .forecast import Forecast, Probe
 from .quantities import declare_conditions
@@ -57,13 +58,16 @@ def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float
     """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as numbers.
 
     `known` is the simulation method's data about a run. The attribute `of` of each quantity is the function that
-    computes its value from these data.
+    computes its value from these data. If it raises an error, warn and leave out this quantity only.
     """
     found: dict[str, float | Quantified] = {}
     for each in quantities:
-        value = each.of(known)
-        if value is not None:
-            found[each.name] = float(value) if each.unit == "1" else quantity(value, each.unit)
+        try:
+            value = each.of(known)
+            if value is not None:
+                found[each.name] = float(value) if each.unit == "1" else quantity(value, each.unit)
+        except Exception as fault:
+            warn(f"the results lack {each.name}, which could not be computed: {fault!r}")
     return found
 
 

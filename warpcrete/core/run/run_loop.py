@@ -18,6 +18,7 @@ from ..device.launching import report_compiling
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, callback, is_full, positive, refuse
 from ..records import Record
 from ..units import number as number_of
+from ..units import quantity
 from . import checkpoint
 from .checkpointed import CheckpointedSimulation
 from .coroutines import Coroutine, run_coroutine
@@ -25,6 +26,7 @@ from .ending import Ending, failure, interruption
 from .frames import Frames
 from .output import CHECKPOINT, RunOutput, output_of, recorders_without_folder
 from .progress import Progress, ProgressBar, announce_compiling
+from .provenance import provenance
 from .recorder import Recorder
 from .recording import Recording, disk_full_error
 from .run import FinalState, Run
@@ -284,10 +286,7 @@ class Simulation(CheckpointedSimulation):
                 written = True
         run = self._ended_run
         if run is None:
-            run = self.result(finished)
-            run.interrupted = isinstance(error, KeyboardInterrupt)
-            self.ending = self._ending(finished, error)
-            run.result["ended"] = self.ending.entry()
+            run = self._results(finished, error)
         run.finished = run.result["finished"] = finished and run.finished and not recording.failures
         recording.finish(run)
         if written and path is not None:
@@ -304,6 +303,33 @@ class Simulation(CheckpointedSimulation):
         recording.close()
         if isinstance(self._progress, ProgressBar):
             self._progress.close()
+        return run
+
+    def _results(self, finished: bool, error: BaseException | None) -> Run:
+        """Return the results of the run, with the reason why it ended; `error` is an error that ended it, or None.
+
+        If the results cannot be computed, return only the time series: the recorders must be able to write their data.
+        After they have finished, :meth:`running` raises the error of the computation, unless it passes on `error`.
+        """
+        try:
+            run = self.result(finished)
+            self.ending = self._ending(finished, error)
+        except Exception as fault:
+            self._recording.failures.append(fault)
+            self.ending = self._ending(finished, error or fault)
+            columns = self.rows[0] if self.rows else {}
+            series = {name: np.array([row[name] for row in self.rows]) for name in columns}
+            result: Record = {
+                "scene": self.scene.name,
+                "finished": False,
+                "ended": None,
+                "simulated_time": quantity(self.stepper.time, "s"),
+                "steps": self.stepper.steps,
+                "provenance": provenance(self.device, self.precision, self.scene.seed, self.threads),
+            }
+            run = Run(self.scene, series, {name: self.unit(name) for name in series}, result, False)
+        run.interrupted = isinstance(error, KeyboardInterrupt)
+        run.result["ended"] = self.ending.entry()
         return run
 
     def _ending(self, finished: bool, error: BaseException | None) -> Ending:

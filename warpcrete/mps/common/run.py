@@ -23,7 +23,7 @@ class FlowRun(Simulation):
     """Base class of the simulation of one flow.
 
     When the particles have been placed, the attribute `flow` is the object that advances the flow in time. It must have
-    the members `state`, `state_dict`, `load_state_dict`, `count` and `steps`.
+    the members `state`, `state_dict`, `load_state_dict`, `read_progress`, `count` and `steps`.
     """
 
     flow: Any
@@ -148,6 +148,8 @@ class FlowRun(Simulation):
         `finished` is stored in the results; it is False if the run was interrupted.
         """
         scene, flow, series = self.scene, self.flow, self.series()
+        # After an interruption, the host has not yet read how many of the launched steps the device has completed.
+        flow.read_progress()
         result: Record = {
             "scene": scene.name,
             "method": self.method,

@@ -156,17 +156,21 @@ class Stepping(ABC):
         A launched step does nothing if an earlier step has failed or has requested a rebuild, so not all launched steps
         need be completed. If a step failed, its error is raised.
         """
-        flags = self.flags.numpy()
-        self._read_progress(flags)
+        flags = self.read_progress()
         if flags[int(FAILED)]:
             self._fail(int(flags[int(FAILED)]))
         if flags[int(STALE)]:
             self.build()
 
-    def _read_progress(self, flags: np.ndarray) -> None:
-        """Store the number of completed steps, which the control flags contain, and the simulated time [s]."""
+    def read_progress(self) -> np.ndarray:
+        """Read the control flags; store the number of completed steps, which they contain, and the simulated time [s].
+
+        Return the control flags.
+        """
+        flags: np.ndarray = self.flags.numpy()
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
+        return flags
 
     def _fail(self, what: int) -> None:
         if what == LOST:

@@ -179,10 +179,11 @@ class GridFlow(Stepping):
         by_time = min((self._goal_time - self.time) / self.next_step, UNREACHABLE_STEPS)
         return min(max(1, math.ceil(by_time - 1e-6)), self._goal - self.steps)
 
-    def _read_progress(self, flags: np.ndarray) -> None:
-        super()._read_progress(flags)
+    def read_progress(self) -> np.ndarray:
+        flags = super().read_progress()
         self._goal_reached = bool(flags[int(HALTED)])
         self._read_clock()
+        return flags
 
     def _read_clock(self) -> None:
         clock = self.mesh.clock.numpy()
