@@ -21,11 +21,9 @@ from ..geometry.pumps import pump_of
 from ..mix.mix import Mix, flow_amounts, mix_named, mix_of
 from ..mix.stones import SMALLEST, sizes_by_number
 from ..mps.common.mixes import concrete_of
-from ..studies.lines.losses import read_line, with_stone
+from ..studies.lines.losses import ASSUMED_DENSITY, read_line, with_stone
 from ..theory.pipe import Concrete
 
-DENSITY = 2350.0
-"""Density [kg/m3] that is assumed for a concrete of which the user states only the slump or the spread."""
 SHAPE = ("diameter", "length", "rise")
 """Options that describe a straight pump line, for a user who has no file that describes the line."""
 MEASURES = (*SHAPE, "slump", "spread", "stone", "flow", "pump_pressure", "pump_flow", "pump_power")
@@ -155,7 +153,7 @@ def _guessed(settings: Mapping[str, object], stone: float | None) -> Mix | None:
             f"{name} = {value!r}: cannot be given together with --concrete; state the {name} in the "
             "file of the concrete"
         )
-    entries: dict[str, Any] = {"density": DENSITY, **cones}
+    entries: dict[str, Any] = {"density": ASSUMED_DENSITY, **cones}
     if stone is not None:
         if stone < 2 * SMALLEST:
             refuse("stone", stone, f"must be at least {2 * SMALLEST:g} m", "leave out --stone for mortar")

@@ -25,6 +25,9 @@ __all__ = [
 
 GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
+ASSUMED_DENSITY = 2350.0
+"""Density [kg/m3] that is assumed for a concrete if neither its density nor its composition is stated. The density
+determines the weight of concrete in a line and affects its slump, but hardly affects its friction."""
 PLACES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Positions between -1 and 1 along a tapered part at which the friction is evaluated, and the weights with which the
 values are summed (Gauss-Legendre quadrature)."""

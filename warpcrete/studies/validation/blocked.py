@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from ...core.errors import refuse
 from ...core.inputs.amounts import amount
 from ...mix.blocking import blocking_rules, worst
 from .cases import Case
@@ -37,10 +38,14 @@ class BlockingComparison:
 def compare_blocking(case: Case, held_out: bool = False) -> BlockingComparison:
     """Judge one concrete by the rules against blocking, and return the verdict next to the observation.
 
-    `held_out` is stored in the result. Raises :class:`SceneError` if the program refuses the mix.
+    `held_out` is stored in the result. Raises :class:`SceneError` if the program refuses the mix, or if the mix states
+    the inputs of no rule.
     """
     mix = mix_of_case(case)
     bore = amount("case test: bore", case.test.get("bore"), "m")
     verdicts = [each for each in blocking_rules(mix.given, bore) if each.verdict != "unknown"]
+    if not verdicts:
+        problem = "states the inputs of no rule against blocking"
+        refuse("case", case.name, problem, "add to its mix 'parts', or the largest stone, as in 'sizes: [4 mm, 16 mm]'")
     warned = ", ".join(each.rule for each in verdicts if each.verdict in BAD)
     return BlockingComparison(case, held_out, case.measured[0] > 0.5, worst(verdicts), warned)

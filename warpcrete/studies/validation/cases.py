@@ -10,7 +10,7 @@ from ...core.errors import SceneError, known_names, one_of, positive, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.limits import check_limit
 from ...core.inputs.text_files import errors_in_file, errors_located_at, read_mapping
-from .kinds import BLOCKING, TESTS, UNITS
+from .kinds import AMOUNTS, BLOCKING, TESTS, UNITS
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
@@ -225,11 +225,17 @@ def _measured(given: object, kind: str, unit: str) -> tuple[float, ...]:
             positive("case measured", value, unit)
         elif value not in (0.0, 1.0):
             refuse("case measured", value, "must be 1 if the concrete blocked, or 0 if it did not")
+        if kind == "profile" and value > 1:
+            refuse("case measured", value, "must be at most 1, because it is a share of the largest velocity")
     return found
 
 
 def _test(given: Mapping[str, Any], kind: str, name: str) -> Mapping[str, Any]:
-    """Return the section `test` of the case `name` after checking that it has exactly the entries that `kind` needs."""
+    """Return the section `test` of the case `name` after checking it.
+
+    The section must have exactly the entries that `kind` needs. Amounts must be positive, and the reference, another
+    concrete, must be a section like `mix`.
+    """
     for key in given:
         with errors_located_at(given, key):
             if key not in TESTS[kind]:
@@ -238,6 +244,12 @@ def _test(given: Mapping[str, Any], kind: str, name: str) -> Mapping[str, Any]:
     for key in TESTS[kind]:
         if key not in given:
             refuse("case test", name, f"has no {key!r}", f"add '{key}: ...'")
+        with errors_located_at(given, key):
+            if key in AMOUNTS:
+                positive(f"case test: {key}", amount(f"case test: {key}", given[key], AMOUNTS[key]), AMOUNTS[key])
+            if key == "reference" and not (isinstance(given[key], Mapping) and given[key]):
+                hint = "describe the other concrete like 'mix', for example {spread: 650 mm, density: 2350}"
+                refuse("case test: reference", given[key], "must consist of 'key: value' entries", hint)
     return given
 
 

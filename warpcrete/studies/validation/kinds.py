@@ -30,5 +30,7 @@ BLOCKING = "blocking"
 """Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
 TESTS = {name: kind.test for name, kind in KINDS.items()} | {BLOCKING: ("bore",)}
 """Entries of the section `test` of a case, by its kind."""
+AMOUNTS = {"diameter": "m", "bore": "m", "speed": "m/s"}
+"""SI unit of those entries of the section `test` that are amounts."""
 UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}
 """SI unit of the measured values for each kind of case."""

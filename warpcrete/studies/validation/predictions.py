@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 
-from ...core.errors import one_of
+from ...core.errors import one_of, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.yaml_files import merged
 from ...geometry.pipe_line import PipeLine
@@ -13,25 +13,22 @@ from ...theory.bands import Band, combined
 from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
 from ...theory.pipe import Concrete, Line, layer_share, steady
 from ...theory.vessels import funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
-from ..lines.losses import line_of
+from ..lines.losses import ASSUMED_DENSITY, line_of
 from ..lines.run import run_line
 from .cases import Case
 
 LEAST_SLUMP = 0.005
 """Lower limit for the predicted slump [m]: half of the 10 mm to which a measured slump is rounded."""
-LINE_DENSITY = "2400 kg/m3"
-"""Density assumed for a mix without a stated density [kg/m3]. Predictions of weight and slump depend on the density,
-but predictions of friction do not."""
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
     """Return the mix of a case, or the mix that `section` describes.
 
-    If the publication states no density, the density is assumed to be 2400 kg/m3.
+    If the publication states no density, the density is assumed (:data:`.ASSUMED_DENSITY`).
     """
-    given = merged(section or case.mix)
+    given = merged(case.mix if section is None else section)
     if "density" not in given and "parts" not in given:
-        given["density"] = LINE_DENSITY
+        given["density"] = ASSUMED_DENSITY
     return mix_of(given, case.folder, case.name)
 
 
@@ -43,6 +40,9 @@ def _number(case: Case, key: str, unit: str) -> float:
 def _line_of(case: Case) -> PipeLine:
     """Return the pump line of a case."""
     name = str(case.test["line"])
+    if not case.lines:
+        problem = "is described nowhere, because the file of cases has no section 'lines'"
+        refuse("case test: line", name, problem, "add it, as in 'lines: {site: {diameter: 125 mm, parts: [...]}}'")
     one_of("case test: line", name, case.lines)
     return line_of(case.lines[name], case.name, case.folder)
 

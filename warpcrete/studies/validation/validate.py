@@ -14,7 +14,7 @@ import numpy as np
 
 from ...core.device.device import find_device
 from ...core.drawing.html import html_table
-from ...core.errors import WarpcreteError, one_line, one_of
+from ...core.errors import WarpcreteError, one_line, one_of, refuse
 from ...core.records import Record
 from ...core.run.files import atomic_file, write_json
 from ...core.run.method import Progress
@@ -63,7 +63,7 @@ class Validation:
     """Comparison of the rules against blocking with the observation, for each concrete of which it is known whether it
     blocked."""
     refused: dict[str, str]
-    """Cases that the program refuses to predict: the reasons, by the name of the case."""
+    """Reason why the program refuses to predict a case, by the case's name."""
 
     def __repr__(self) -> str:
         return f"<Validation of {len(self.comparisons) + len(self.blocking)} cases>"
@@ -182,8 +182,8 @@ def validate(
 
     `kinds` restricts the comparison to some kinds of cases; an empty sequence means all kinds. Unless `quick` is set,
     one case of each group of slumps, spreads and funnels is also simulated as a flow, which takes a few minutes. A case
-    that the program refuses to predict is listed with the reason. Raises :class:`SceneError` for an unknown kind, and
-    :class:`DeviceError` for a device that does not exist.
+    that the program refuses to predict is listed with the reason. Raises :class:`SceneError` for an unknown kind or if
+    there is no case of these kinds, and :class:`DeviceError` for a device that does not exist.
     """
     kinds = tuple(kinds)
     for kind in kinds:
@@ -193,6 +193,10 @@ def validate(
     everything = list(cases) if cases is not None else shipped_cases()
     held = held_out_groups(everything)
     chosen = [case for case in everything if not kinds or case.kind in kinds]
+    if not chosen:
+        known = ", ".join(dict.fromkeys(case.kind for case in everything))
+        problem = f"is the kind of no case; the cases have the kinds {known}" if known else "has no cases to compare"
+        refuse("kind", ", ".join(kinds) or "any", problem)
     found: list[Comparison] = []
     blocking: list[BlockingComparison] = []
     refused: dict[str, str] = {}
