@@ -8,6 +8,7 @@ from pumping import command
 
 from warpcrete.cli.study import failed_lines, report
 from warpcrete.core.run.method import Quantity
+from warpcrete.dem.measure.quantities import ON_PLATEAU, QUANTITIES
 from warpcrete.studies.study_result import Case, Study
 
 
@@ -36,6 +37,18 @@ def test_a_study_says_when_a_case_has_a_value_that_another_lacks(capsys):
     del study.results["b"]["plateau_pressure"]
     report(study)
     assert note in capsys.readouterr().out
+
+
+def test_a_study_without_any_plateau_says_why_and_shows_the_mean_at_the_end(capsys):
+    """The other quantities of the method, such as those of an L-box, cannot occur in a pipe and have no note."""
+    quantities = [each for each in QUANTITIES if each.compared]
+    other = Quantity("t200", "s", lambda known: None, compared=True, only_if="the front is 200 mm away from the gate")
+    study = Study(Path("here"), "pipe", [Case("a", {"seed": 0}, {})], [*quantities, other])
+    study.results = {"a": {name: {"value": 1e4, "unit": "Pa"} for name in ("peak_pressure", "end_pressure")}}
+    report(study)
+    said = capsys.readouterr().out
+    assert "| seed | peak [kPa] | end [kPa] | runs |" in said
+    assert f"note: a case has a value of plateau only if {ON_PLATEAU}" in said and said.count("note: ") == 1
 
 
 def test_help_states_the_defaults_that_a_method_changes():

@@ -277,7 +277,7 @@ def test_table_csv_and_figure_of_a_study_read_back(tmp_path):
     assert "plateau_pressure_scatter [Pa]" in row
     figure = draw(study)
     shown = [axes for axes in figure.axes if axes.get_visible()]
-    assert [axes.get_xlabel() for axes in shown] == ["velocity [m/s]"]
+    assert [axes.get_xlabel() for axes in shown] == ["velocity [m/s]", "diameter [m]"]
     highest = {}
     for axes in shown:
         assert axes.get_ylabel() == "peak and plateau [kPa]" and axes.get_legend() is not None

@@ -251,7 +251,8 @@ def test_the_study_command(tmp_path):
         "--quiet",
     )
     assert done.returncode == 0, done.stderr
-    assert "| velocity [m/s] | peak [kPa] | runs | failed | suspect |" in done.stdout
+    assert "| velocity [m/s] | peak [kPa] | end [kPa] | runs | failed | suspect |" in done.stdout
+    assert "note: a case has a value of plateau only if the piston moves at its final speed" in done.stdout
     assert "2 of 2 cases done" in done.stdout
     record = json.loads((out / "study.json").read_text(encoding="utf-8"))
     assert [c["varied"] for c in record["cases"]] == [{"velocity": 0.3}, {"velocity": 0.6}]

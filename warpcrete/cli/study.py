@@ -122,8 +122,11 @@ def report(study: Study) -> None:
         click.echo(study.markdown())
     if "size_max" in study.varied and any("pressure" in each.name for each in study.compared):
         click.echo(f"note: {SIZES}")
-    for each in study.compared:
-        if each.only_if and any(each.name not in result for result in study.results.values()):
+    met = {name for result in study.results.values() for name in result}
+    for each in study.quantities:
+        # If no case has a value, only a condition that names another result shows that a value was possible.
+        possible = each.name in met or any(f"'{other}'" in each.only_if for other in met)
+        if each.only_if and possible and any(each.name not in result for result in study.results.values()):
             click.echo(f"note: a case has a value of {each.title} only if {each.only_if}")
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")

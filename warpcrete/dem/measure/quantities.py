@@ -338,7 +338,7 @@ QUANTITIES = (
              meaning="Standard deviation of the pressure over the last fifth of the travel", only_if=ON_PLATEAU),
     Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0]),
              meaning="Travel of the piston at which the plateau begins", only_if=ON_PLATEAU),
-    Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean()),
+    Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean()), compared=True,
              meaning="Mean pressure on the piston over the last fifth of the travel, level or not"),
     Quantity("first_peak_pressure", "Pa", _restarted(lambda k: k.peaks[0]),
              meaning="Largest pressure before the piston stops"),
