@@ -56,8 +56,9 @@ SLICES, MAX_SLICES = 2.0, 1000
 whole pipe.
 """
 FLUX_TOLERANCE = 0.2
-"""Largest difference of the ratio of outflow to inflow from 1 in a valid run. With a larger one, the concrete is still
-being compressed, and friction upstream and downstream belong to different flows."""
+"""Largest difference of the ratio of outflow to inflow from 1 in a valid run. A larger
+difference means that the aggregates are still being compressed. Friction upstream and downstream then belong to
+different flows."""
 MAX_BALANCE_ERROR = 0.01
 """Largest error of the aggregates' momentum balance in a valid run, divided by the largest impulse (force summed over
 time) in the balance."""

@@ -99,7 +99,8 @@ def test_every_part_is_pushed_through_and_measured(device, course):
     run = Simulation(scene, device=device).run()
     checks = sys.modules["warpcrete.scenes.part_dem"].check(run)
     # A run of this length compresses the aggregates before a reducer, so less flows out than in.
-    assert checks.pop("outflow equals inflow", (True, ""))[0] == ("reducer" not in course)
+    if course != "straight":
+        assert checks.pop("outflow equals inflow")[0] == ("reducer" not in course)
     for name, (passed, found) in checks.items():
         assert passed, f"{name}: {found}"
     table = run.tables["stations"].columns

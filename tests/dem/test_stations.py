@@ -236,6 +236,10 @@ def test_losses_of_a_middle_where_friction_rises_with_pressure():
     assert found["middle_ratio"] == pytest.approx(2.0, rel=0.03) and found["flux_ratio"] == pytest.approx(1.0)
     exact = np.exp(-b * 0.4) - np.exp(-b * 1.4)
     assert found["middle_loss"] == pytest.approx((20e3 + a / b) * exact, rel=0.02)
+    # The concrete upstream has stopped.
+    for still in (0.0, -1e-9):
+        stopped = losses(stations, table | {"velocity": np.where(stations.places < 0.4, still, 1.0)}, (0.0, 0.0, 0.0))
+        assert set(found) - set(stopped) == {"flux_ratio"}
     upright = dataclasses.replace(stations, axis=Axis((0, 0, 0), (0, 0, 1), (Line(3.0),)))
     heavy = table | {"axial_stress": stress + 1500 * 9.81 * (3 - stations.places)}
     assert losses(upright, heavy, (0.0, 0.0, -9.81))["middle_loss"] == pytest.approx(found["middle_loss"], rel=1e-6)

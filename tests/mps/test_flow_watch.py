@@ -5,11 +5,13 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from flows import flow_of, step
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError, SceneError
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.mps.column import check_flow
+from warpcrete.mps.probes import measured
 from warpcrete.mps.quantities import report
 from warpcrete.mps.scene import FlowWatch
 from warpcrete.mps.watch import WatchedFlow
@@ -17,6 +19,15 @@ from warpcrete.mps.watch import WatchedFlow
 SHEARED = dict(
     concrete="own", density=2400.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=1e6, slip_yield=0.0, gravity=0.0,
 )  # fmt: skip
+
+
+def test_particles_that_have_all_left_the_measured_part_end_the_run(device):
+    flow = step(flow_of(device))
+    flow.state.particles.position.assign(flow.state.particles.position.numpy() + [0.0, flow.state.layout.height])
+    row = measured(flow)
+    assert math.isnan(row["volume_error"]) and math.isfinite(row["fastest"])
+    with pytest.raises(InstabilityError, match="is not a finite number"):
+        WatchedFlow(flow.scene)(row)
 
 
 def row_of(scene, **changes):

@@ -2,13 +2,13 @@
 
 import itertools
 
-import h5py
 import numpy as np
 import pytest
 
 import warpcrete
 from warpcrete import scenes
 from warpcrete.core.inputs.limits import PlausibilityWarning
+from warpcrete.kernels.suspension.leaving import PARKED
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.usd import UsdRecorder
 from warpcrete.suspension.flow import SuspensionStep
@@ -137,6 +137,7 @@ def test_aggregates_are_drawn_beside_the_surface_of_the_concrete(device):
 
 
 def test_recordings_hold_the_mortar_and_the_stones_apart(tmp_path):
+    import h5py
     from pxr import Usd, UsdGeom
 
     simulation = warpcrete.Simulation(box(aggregate_fraction=0.1), device="cpu")
@@ -154,6 +155,8 @@ def test_recordings_hold_the_mortar_and_the_stones_apart(tmp_path):
     stones, end = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates")), stage.GetEndTimeCode()
     assert np.array(stones.GetPositionsAttr().Get(end)) == pytest.approx(spheres.centres, abs=1e-6)
     assert np.array(stones.GetScalesAttr().Get(end))[:, 0] == pytest.approx(2 * spheres.radii, rel=1e-6)
+    assert np.array_equal(stones.GetIdsAttr().Get(end), np.arange(2 * bodies.count))
+    assert np.array(stones.GetVelocitiesAttr().Get(end)) == pytest.approx(spheres.velocities, abs=1e-6)
     mortar = UsdGeom.Mesh(stage.GetPrimAtPath("/Run/Concrete"))
     assert len(mortar.GetPointsAttr().Get(end)) == len(bare.vertices)
     with h5py.File(tmp_path / "aggregates.vtkhdf") as file:
@@ -161,6 +164,50 @@ def test_recordings_hold_the_mortar_and_the_stones_apart(tmp_path):
         assert file["VTKHDF/PointData/radius"][:] == pytest.approx(spheres.radii, rel=1e-6)
     with h5py.File(tmp_path / "surface.vtkhdf") as file:
         assert len(file["VTKHDF/Points"]) == len(bare.vertices)
+
+
+def test_a_recording_does_not_move_one_stone_into_another(tmp_path):
+    """The number of drawn stones stays the same, but the first leaves the box and another enters it."""
+    from pxr import Usd, UsdGeom
+
+    simulation = warpcrete.Simulation(box(aggregate_fraction=0.1), device="cpu")
+    simulation.begin()
+    flow, bodies = simulation.flow, simulation.flow.aggregates.bodies
+    centre, speed = bodies.centre.numpy().copy(), np.zeros((flow.aggregates.count, 3))
+    speed[:, 0] = 0.3 + 0.1 * np.arange(len(speed))
+    bodies.velocity.assign(speed)
+    recorder = UsdRecorder(tmp_path / "scene.usdc")
+    recorder.start(simulation)
+    for time, away in ((0.0, 1), (0.1, 0)):
+        place = centre.copy()
+        place[away, 2] = float(PARKED)
+        bodies.centre.assign(place)
+        flow.time = time
+        recorder.frame(simulation)
+    recorder.finish(simulation, None)
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usdc"))
+    stones = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates"))
+    ids = [list(stones.GetIdsAttr().Get(code)) for code in (0.0, 100.0)]
+    count = flow.aggregates.count
+    assert ids == [[n for n in range(2 * count) if n % count != away] for away in (1, 0)]
+    places = np.array([np.array(each)[3, :3] for each in stones.ComputeInstanceTransformsAtTime(50.0, 0.0)])
+    assert places[0] == pytest.approx(centre[0] + 0.05 * speed[0], abs=1e-5)
+
+
+def test_velocities_of_spheres_are_those_of_rigid_clumps(device):
+    tube = dict(spacing=8e-3, diameter=0.1, length=0.125, duration=0.01, concrete="no1", aggregate_smallest=0.04)
+    scene = scenes.tube(**tube, aggregate_fraction=0.1, aggregate_shapes="shape-1.5")
+    simulation = warpcrete.Simulation(scene, device=device)
+    simulation.begin()
+    bodies = simulation.flow.aggregates.bodies
+    spin = np.array([[1.0, -2.0, 0.5]]) * (1 + np.arange(simulation.flow.aggregates.count))[:, None]
+    bodies.spin.assign(spin)
+    spheres = simulation.display().spheres()
+    assert len(spheres.bodies) > simulation.flow.aggregates.count
+    arms = spheres.centres - bodies.centre.numpy()[spheres.bodies]
+    turning = spheres.velocities - bodies.velocity.numpy()[spheres.bodies]
+    assert np.abs(turning).max() > 0.01
+    assert turning == pytest.approx(np.cross(spin[spheres.bodies], arms), abs=1e-6)
 
 
 OF_AGGREGATES = [

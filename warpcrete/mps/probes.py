@@ -100,6 +100,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     middle = (part > MIDDLE[0]) & (part < MIDDLE[1])
     wet = middle & (weight > 0)
     theory = velocity(scene.concrete, scene.line, flow.theory, np.minimum(snap.distance[middle], scene.radius))
+    difference = snap.velocity[middle] - theory
 
     area = section(flow)
     one = state.grains is None
@@ -114,7 +115,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     # The piston's force must equal the sum of weight, wall drag and rate of change of momentum; the residual is the
     # difference.
     residual = force - state.mass * scene.gravity - drag - change
-    surface = np.array([layout.height - 0.5 * layout.spacing])
+    within, surface = window(part), np.array([layout.height - 0.5 * layout.spacing])
     if flow.steps:
         surface = snap.height[flow.matrix.free.numpy() != 0]
     row = {
@@ -124,9 +125,9 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
         "pressure_gradient": float(gradient),
         "wall_stress": drag / flow.wet_area,
         "slip_velocity": float(np.sum(weight[wet] * slip[wet]) / np.sum(weight[wet])) if wet.any() else math.nan,
-        "profile_deviation": float(np.sqrt(np.mean((snap.velocity[middle] - theory) ** 2))),
+        "profile_deviation": float(np.sqrt(np.mean(difference**2))) if len(difference) else math.nan,
         "fastest": float(snap.speed.max()),
-        "volume_error": window(layout.fluid[:, -1] / layout.height) / window(part) - 1,
+        "volume_error": window(layout.fluid[:, -1] / layout.height) / within - 1 if within else math.nan,
         "force_balance_error": float(residual / force) if force else math.nan,
         "front": float(np.mean(surface)) + 0.5 * layout.spacing if len(surface) else math.nan,
         "momentum": momentum,

@@ -48,14 +48,27 @@ class SphereDisplay(GridDisplay):
 
     def spheres(self) -> DrawnSpheres:
         """Return the spheres of all aggregates that are at least partly in the simulated box, with mirror images."""
-        bodies = self.flow.aggregates
-        centres = self.read("aggregates.centre").astype(float)
-        chosen = np.flatnonzero(is_inside(centres)[bodies.parts.body])
-        places = self.images(bodies.parts.centres(centres, self.read("aggregates.turn").astype(float))[chosen])
-        numbers = np.tile(bodies.parts.body[chosen], len(places))
-        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)
-        radii = np.tile(bodies.parts.radius[chosen], len(places))
-        return DrawnSpheres(np.concatenate(places), radii, speeds[numbers], numbers, STONE)
+        return self.derived("spheres", self._spheres)
+
+    def _spheres(self) -> DrawnSpheres:
+        parts = self.flow.aggregates.parts
+        centre, turn, velocity, spin = (
+            self.read(f"aggregates.{name}").astype(float) for name in ("centre", "turn", "velocity", "spin")
+        )
+        chosen = np.flatnonzero(is_inside(centre)[parts.body])
+        body, centres = parts.body[chosen], parts.centres(centre, turn)[chosen]
+        places, origins = self.images(centres), self.images(np.zeros((1, 3)))
+        ends = self.images(velocity[body] + np.cross(spin[body], centres - centre[body]))
+        numbers = np.tile(body, len(places))
+        return DrawnSpheres(
+            centres=np.concatenate(places),
+            radii=np.tile(parts.radius[chosen], len(places)),
+            speeds=np.linalg.norm(velocity, axis=1)[numbers],
+            bodies=numbers,
+            ids=np.concatenate([chosen + image * len(parts.radius) for image in range(len(places))]),
+            velocities=np.concatenate([end - origin for end, origin in zip(ends, origins)]),
+            colour=STONE,
+        )
 
     def bare_surface(self) -> Surface:
         """Return the surface of the mortar, without aggregates."""

@@ -84,6 +84,10 @@ class DrawnSpheres:
     """Speeds of the bodies to which the spheres belong [m/s], shape (n,)."""
     bodies: np.ndarray
     """Number of the body to which each sphere belongs, shape (n,). Mirror images have the number of the original."""
+    ids: np.ndarray
+    """Permanent number of each sphere, shape (n,); each mirror image has a number of its own."""
+    velocities: np.ndarray
+    """Velocities of the centres of the spheres [m/s], shape (n, 3)."""
     colour: tuple[int, int, int]
     """Colour of the spheres: red, green and blue from 0 to 255."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -60,14 +61,19 @@ class Known:
     log: StationLog | None = None
     """Measurements in slices (stations) along the pipe; None if the scene does not request them in every sample."""
 
-    def along(self, name: str) -> float | None:
-        """Return the friction loss called `name`, averaged over the final window; None if it was not measured.
+    @cached_property
+    def losses(self) -> dict[str, float]:
+        """Friction losses along the pipe by name, averaged over the final window; empty if they were not measured.
 
         :func:`warpcrete.dem.measure.station_losses.losses` lists the names and their units.
         """
         if self.log is None or not self.pumped:
-            return None
-        return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
+            return {}
+        return losses(self.log.stations, self.log.table(self.window), self.scene.gravity)
+
+    def along(self, name: str) -> float | None:
+        """Return the friction loss called `name`; None if it was not measured."""
+        return self.losses.get(name)
 
     def theory_beside(self, name: str) -> float | None:
         """Return the closed form of the gradient called `name` in plug flow [Pa/m].
@@ -322,7 +328,10 @@ ON_PLATEAU = (
     "('end_pressure' is the mean in any case)"
 )
 """Text for users that says when a run has results about the plateau of its pressure."""
-WITH_LAYER = "the wall has a slip layer and no friction, and the stones do not roll"
+WITH_LAYER = (
+    "the wall has a slip layer and no friction, and the stones are not single spheres without friction, which roll "
+    "along the layer (spheres with little friction may roll, too; the theory is then an upper limit)"
+)
 """Text for users that says when a run has a closed form of the friction."""
 
 QUANTITIES = (

@@ -29,7 +29,8 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
     - `flux_ratio` is the downstream solid volume flux divided by the upstream flux.
 
     A result is left out if concrete fills too few of the slices that it needs. The results `middle_ratio` and
-    `middle_excess` are also left out if the wall stress at an end of the middle is not positive.
+    `middle_excess` are also left out if the wall stress at an end of the middle is not positive, and `flux_ratio` if
+    the upstream flux is not positive.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
@@ -61,7 +62,9 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
             2 * np.polyval(line.shear, place) / stations.bores.at(place)
             for line, place in ((before, begin), (behind, end))
         ]
-        result |= {"middle_loss": loss, "flux_ratio": behind.flux / before.flux}
+        result["middle_loss"] = loss
+        if before.flux > 0:
+            result["flux_ratio"] = behind.flux / before.flux
         if min(there) > 0:
             straight = _logarithmic_mean(*map(float, there)) * (end - begin)
             result |= {"middle_ratio": loss / straight, "middle_excess": loss - straight}
@@ -90,15 +93,16 @@ def layer_gradient(scene: Scene, place: float) -> float | None:
     4 tau / d with the wall stress tau = c (tau_L0 + eta_L v), where c is the fraction COVERAGE of the wall on which the
     layer acts. The result is None without a lubrication layer, and in two cases in which the equation does not hold:
     with friction of stones on the wall, because such friction rises with the pressure, and for single spheres without
-    friction between them, because these roll along the layer.
+    friction between them, because these roll along the layer. Single spheres with little friction may roll as well; the
+    equation is then an upper limit.
     """
     law, pipe = scene.contacts.get(("aggregate", "wall")), scene.pipe
     if pipe is None or scene.stations is None or type(law) is not LubricationLayer:
         return None
     if type(law.contact) is not Contact or law.contact.friction > 0:
         return None
-    spheres = scene.fill is not None and all(len(each.radii) == 1 for each in scene.fill.templates)
-    if spheres and type(scene.contact) is Contact and scene.contact.friction == 0:
+    single_spheres = scene.fill is not None and all(len(each.radii) == 1 for each in scene.fill.templates)
+    if single_spheres and type(scene.contact) is Contact and scene.contact.friction == 0:
         return None
     radius = float(scene.stations.bores.at(place))
     velocity = pipe.velocity * (pipe.radius / radius) ** 2
