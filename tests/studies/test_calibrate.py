@@ -142,6 +142,14 @@ def test_a_quantity_that_no_run_comes_to(tmp_path, monkeypatch):
         calibrate(one_pressure(), out=tmp_path / "out", device="cpu")
 
 
+def test_only_settings_of_a_calibration_are_accepted_as_keywords():
+    """The scene modules are a parameter of the function behind `calibrate`, but no setting."""
+    for name in ("modules", "trails"):
+        with pytest.raises(SceneError, match=f"^setting = '{name}': is not a setting of calibration; ") as refused:
+            calibrate(one_pressure(), **{name: {}})
+        assert "targets" not in str(refused.value) and "modules," not in str(refused.value)
+
+
 GOOD = """
 vary: {slip_viscosity: [500, 2000]}
 targets:

@@ -149,7 +149,10 @@ def test_a_misplaced_diameter_is_questioned_and_starts_no_large_simulation(tmp_p
     with pytest.warns(PlausibilityWarning, match=r"diameter = 1000 mm: is unusual: concrete pipes have diameters of"):
         done = CliRunner().invoke(cli, ["line", str(site)])
     assert isinstance(done.exception, SceneError)
-    assert re.search(r"part 2 = .* with 980,000 cells may take hours; .*--simulate starts", str(done.exception))
+    assert re.search(
+        r"part 2 = .* with 980,000 cells may take hours; .*--simulate simulates every part of the line",
+        str(done.exception),
+    )
     with pytest.warns(PlausibilityWarning):
         done = CliRunner().invoke(cli, ["line", str(site), "--simulate", "--cells", "40", "--out", str(tmp_path / "x")])
     assert isinstance(done.exception, SceneError) and "at most 5,000,000 are possible" in str(done.exception)

@@ -69,6 +69,7 @@ def calibrate(
 def run_calibration(
     targets: Path | Mapping[str, Any],
     modules: Mapping[str, SceneModule],
+    /,
     *,
     out: Path,
     trials: int | None = None,

@@ -19,7 +19,7 @@ JGJ = "JGJ/T 10, table of pressure losses (https://www.wendadaohang.com/zd/A5nWW
 JSCE = "JSCE, rule for pumping (https://ga40077.com/concrete-engineer/calculation-pumping-load)"
 CALIBE = "Kaplan and CALIBE (NIST, Materials science of concrete 2000: 150 m, 12 elbows, more than 50 concretes)"
 PARK = "Park et al., ACI Mater. J. 117-3 (2020) 205 (133, 369 and 560 m, four concretes)"
-STRAIGHT_DIAMETERS = 2.5
+AHEAD_DIAMETERS = 2.5
 """Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
 diameters."""
 MOST_UNASKED, MOST_CELLS = 3e5, 5e6
@@ -139,7 +139,7 @@ def cells_of(part: Part, cells: int) -> float:
 
     `cells` is the number of cells across the narrowest bore. Half of the part is simulated, because it is symmetrical.
     """
-    ahead = STRAIGHT_DIAMETERS * max(part.diameter, part.outlet)
+    ahead = AHEAD_DIAMETERS * max(part.diameter, part.outlet)
     squares = part.diameter**2 * (ahead + 0.5 * part.length) + part.outlet**2 * (ahead + 0.5 * part.length)
     return 0.5 * math.pi / 4 * squares / (part.narrow / cells) ** 3
 
@@ -158,10 +158,14 @@ def check_cells(part: Part, cells: int, asked: bool = True) -> None:
     if part.kind not in ("bend", "reducer") or count <= most:
         return
     problem = f"would be simulated with {count_text(count)} cells, but at most {most:,.0f} are possible"
-    hint = "check the diameters of the line, or add the option --theory or a 'factor' of the part"
+    hint = (
+        "check the diameters of the line, state a 'factor' of the part, or simulate no part (with the command --theory "
+        "instead of --simulate, in Python simulate=False)"
+    )
     if not asked:
         problem = (
             f"is sharper than all parts in the table, and its simulation with {count_text(count)} cells may take hours"
         )
-        hint += "; --simulate starts the simulation" if count <= MOST_CELLS else ""
+        hint = "check the diameters of the line, or add the option --theory or a 'factor' of the part"
+        hint += "; --simulate simulates every part of the line" if count <= MOST_CELLS else ""
     refuse(f"part {part.number}", part.label, problem, hint)

@@ -16,7 +16,7 @@ from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
-from .fittings import STRAIGHT_DIAMETERS, check_cells, is_in_library, library_factor
+from .fittings import AHEAD_DIAMETERS, check_cells, is_in_library, library_factor
 from .folder import check_known, part_simulation, previous_run
 from .line_folder import LINE_RECORD
 from .losses import GRAVITY, friction, with_layer_factor
@@ -33,7 +33,7 @@ TUBE_CELLS = 20
 """Number of cells across the bore of a simulated straight pipe. It is larger than in bends and reducers because a
 periodic pipe is short and cheap to simulate."""
 CURE = "; usual cure: "
-"""Words in the text of a failed check, after which the scene parameters follow that usually avoid the failure."""
+"""Text between the finding of a failed check and the scene parameters that usually avoid the failure."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
 """Option of `warpcrete line` that helps if a check of a simulated part fails, by the name of the check."""
 
@@ -180,7 +180,7 @@ def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> t
     narrow, wide = part.narrow, max(part.diameter, part.outlet)
     spacing = narrow / cells
     fastest = flow / (math.pi * narrow**2 / 4)
-    own |= {"spacing": spacing, "straight": STRAIGHT_DIAMETERS * wide, "time_step": min(5e-3, 0.5 * spacing / fastest)}
+    own |= {"spacing": spacing, "straight": AHEAD_DIAMETERS * wide, "time_step": min(5e-3, 0.5 * spacing / fastest)}
     if part.kind == "bend":
         return "part", {**own, "unit": "bend-level", "angle": max(part.angle, 5.0), "elbow_radius": part.radius}
     if part.mesh:

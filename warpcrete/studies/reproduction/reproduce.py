@@ -57,7 +57,7 @@ def reproduce(
     if not 1 <= seeds <= MAX_CASES:
         refuse("seeds", seeds, f"must be from 1 to {MAX_CASES}")
     columns, rows = chosen(paper, only)
-    earlier_results: SceneArguments = {}
+    earlier_results: Record = {}
     for folder in known:
         earlier_results |= _results(folder, paper, quick)
     find_device(device)
@@ -200,11 +200,11 @@ def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[SceneArg
 
 
 def _unique_cases(cases: Sequence[SceneArguments]) -> list[SceneArguments]:
-    reproduction: list[SceneArguments] = []
+    unique: list[SceneArguments] = []
     for case in cases:
-        if case not in reproduction:
-            reproduction.append(case)
-    return reproduction
+        if case not in unique:
+            unique.append(case)
+    return unique
 
 
 def _run(
