@@ -80,7 +80,8 @@ def test_a_program_without_standard_error_shows_no_bar(monkeypatch):
 
 @pytest.mark.posix
 def test_the_end_of_the_terminal_stops_a_run_once(monkeypatch):
-    before = signal.signal(signal.SIGHUP, signal.default_int_handler)
+    # Both signals are ignored in a background job without a terminal.
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGHUP, signal.SIGINT)}
     simulation = SimpleNamespace(finishing=False, stop_requested=False)
     try:
         with StopAtSample([simulation]):
@@ -90,7 +91,8 @@ def test_the_end_of_the_terminal_stops_a_run_once(monkeypatch):
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
     finally:
-        signal.signal(signal.SIGHUP, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def test_a_kernel_cache_that_cannot_be_written_is_named(monkeypatch):

@@ -1,5 +1,9 @@
 """Kernels are compiled together before they are launched, and users are told."""
 
+import os
+import signal
+import threading
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
@@ -8,6 +12,7 @@ from pumping import TINY
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import launching
+from warpcrete.core.device.interrupts import StopAtSample
 from warpcrete.core.device.launching import load, report_compiling
 from warpcrete.dem.engine.stages import step_stages
 
@@ -60,3 +65,38 @@ def test_who_waits_for_the_compiler_is_told(monkeypatch):
     told.clear()
     load(stages, simulation.device)
     assert not told
+
+
+@pytest.mark.posix
+@pytest.mark.parametrize("stop", [False, True], ids=["at once", "at the next sample"])
+def test_ctrl_c_is_heard_while_other_threads_compile(monkeypatch, stop):
+    """Python handles signals in its main thread only, so this thread must not wait for a compiler."""
+    begun, end = threading.Event(), threading.Event()
+
+    def compile(module, device, block_dim):
+        begun.set()
+        assert end.wait(60.0)
+
+    monkeypatch.setattr(launching, "load_module", compile)
+    stage = SimpleNamespace(module=SimpleNamespace(kernels={}))
+    simulation = SimpleNamespace(finishing=False, stop_requested=False)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    sender = threading.Thread(target=lambda: begun.wait(60.0) and os.kill(os.getpid(), signal.SIGINT))
+    try:
+        sender.start()
+        with pytest.raises(KeyboardInterrupt), StopAtSample([simulation]) if stop else nullcontext():
+            load([stage], wp.get_device("cpu"))
+        assert simulation.stop_requested is stop
+    finally:
+        end.set()
+        signal.signal(signal.SIGINT, before)
+        sender.join()
+
+
+def test_a_compiler_that_fails_ends_the_run_with_its_error(monkeypatch):
+    def compile(module, device, block_dim):
+        raise IndexError("no such thing")
+
+    monkeypatch.setattr(launching, "load_module", compile)
+    with pytest.raises(IndexError, match="no such thing"):
+        load([SimpleNamespace(module=SimpleNamespace(kernels={})) for _ in range(3)], wp.get_device("cpu"))

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from warpcrete.core.device.interrupts import StopAtSample
 from warpcrete.suspension.placing import CLEARANCE, _radii, close_pairs, random_places
 
 RADIUS = 0.01
@@ -106,3 +107,13 @@ def test_places_keep_off_a_wall_wherever_the_repeated_space_begins(begin):
     x = random_places(radii, low, high, distance, np.random.default_rng(2), periodic=True)
     assert x is not None and np.all((x[:, 2] >= low[2]) & (x[:, 2] < high[2]))
     assert np.all(distance(x) >= RADIUS) and gaps(x, radii, 0.12).min() > 0
+
+
+def test_a_request_to_stop_ends_the_placing_of_aggregates():
+    """A study hears Ctrl-C at the next sample, and placing many aggregates may take minutes before the first one."""
+    with StopAtSample([SimpleNamespace(finishing=False, stop_requested=False)]) as stop:
+        stop.requested = True
+        with pytest.raises(KeyboardInterrupt):
+            places(0.2, 5)
+        stop.simulations[0].finishing = True
+        assert places(0.2, 5)[0] is not None

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..core.device.interrupts import stop_if_requested
 from ..core.errors import at_most, refuse
 from ..core.inputs.limits import warn
 from ..mps.free.layout import free_walls, section_distance
@@ -112,6 +113,7 @@ def _start(radii: np.ndarray, draw: Draw, distance: Distance, rng: np.random.Gen
     """Return random centres of spheres that overlap no walls, but may overlap each other."""
     centres, left = np.zeros((len(radii), 3)), np.arange(len(radii))
     for _ in range(ITERATIONS):
+        stop_if_requested()
         x = draw(rng, len(left))
         free = distance(x) > (1 + CLEARANCE) * radii[left]
         centres[left[free]] = x[free]
@@ -126,6 +128,7 @@ def _separate(centres: np.ndarray, radii: np.ndarray, distance: Distance, period
     goal, needed = 1 + 0.5 * CLEARANCE + MARGIN, 1 + 0.5 * CLEARANCE
     reach = 2 * goal * float(radii.max())
     for _ in range(ITERATIONS):
+        stop_if_requested()
         i, j, d = close_pairs(centres, reach, period)
         away = np.linalg.norm(d, axis=1)
         sum = radii[i] + radii[j]
@@ -162,6 +165,7 @@ def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: fl
     count, needed = len(radii), 1 + 0.5 * CLEARANCE
     size = 0.2 * float(radii.mean())
     for _ in range(SWEEPS):
+        stop_if_requested()
         new = centres + rng.uniform(-size, size, centres.shape)
         blocked = distance(new) < (1 + CLEARANCE) * radii
         both = np.concatenate([centres, new])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..core.device.interrupts import stop_if_requested
 from ..geometry.rotation import random_orientations
 from .aggregates import Aggregates, Spheres, rotated
 from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, Draw, close_pairs, draw_between
@@ -38,6 +39,7 @@ class _Packing:
         """Move all clumps to random places where they overlap no wall, and return whether this succeeded for all."""
         left = np.ones(self.count, bool)
         for _ in range(ITERATIONS):
+            stop_if_requested()
             number = int(left.sum())
             self.centre[left], self.turn[left] = draw(self.rng, number), random_orientations(number, self.rng)
             moved = left[self.parts.body]
@@ -53,6 +55,7 @@ class _Packing:
         goal, needed = 1 + 0.5 * CLEARANCE + MARGIN, 1 + 0.5 * CLEARANCE
         reach, body = 2 * goal * float(self.radii.max()), self.parts.body
         for _ in range(ITERATIONS):
+            stop_if_requested()
             x = self.spheres()
             i, j, d = close_pairs(x, reach, self.period)
             other = body[i] != body[j]
@@ -101,6 +104,7 @@ class _Packing:
         body, number, needed = self.parts.body, len(self.radii), 1 + 0.5 * CLEARANCE
         size = 0.2 * float(self.extent.mean())
         for _ in range(SWEEPS):
+            stop_if_requested()
             centre = self.centre + self.rng.uniform(-size, size, self.centre.shape)
             angle = self.rng.uniform(-size, size, self.centre.shape) / self.extent[:, None]
             turn = turned(self.turn, angle)

@@ -89,24 +89,46 @@ class StopAtSample:
             self._previous = _handled()
             for number, _ in self._previous:
                 signal.signal(number, self._stop)
+            _contexts.append(self)
         return self
 
+    @property
+    def is_writing(self) -> bool:
+        """True while all simulations, if there are any, are writing their results."""
+        return bool(self.simulations) and all(simulation.finishing for simulation in self.simulations)
+
     def _stop(self, signum: int, frame: FrameType | None) -> None:
-        writing = bool(self.simulations) and all(simulation.finishing for simulation in self.simulations)
         if self.requested and signum == SIGHUP:
             return  # Ignore a second SIGHUP: the system and the shell both send it when a terminal closes.
-        if self.requested and not writing:
+        if self.requested and not self.is_writing:
             raise KeyboardInterrupt
         self.requested = True
-        if writing:
+        if self.is_writing:
             return
         for simulation in self.simulations:
             simulation.stop_requested = True
 
     def __exit__(self, *unused: type[BaseException] | BaseException | TracebackType | None) -> None:
         if _in_main_thread():
+            _contexts.remove(self)
             for number, handler in self._previous:
                 signal.signal(number, handler)
+
+
+_contexts: list[StopAtSample] = []
+"""Active contexts of the main thread, the innermost last."""
+
+
+def stop_if_requested() -> None:
+    """Raise KeyboardInterrupt if Ctrl-C asked the simulations of a :class:`StopAtSample` to end.
+
+    Work that may take long before the next sample calls this function now and then, such as compiling kernels and
+    placing aggregates. It does nothing while results are written, and in other threads than the main one.
+    """
+    if _in_main_thread() and _contexts:
+        context = _contexts[-1]
+        if context.requested and context.simulations and not context.is_writing:
+            raise KeyboardInterrupt
 
 
 def ignore_interrupts() -> None:

@@ -9,7 +9,7 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeAlias
@@ -21,13 +21,15 @@ from .arrays import Kernel, KernelModule, launch_kernel, load_module, zeros
 from .cores import CoreContention, thread_pinner
 from .device import default_threads, parallel
 from .graphs import GraphLaunch, captured
-from .interrupts import defer_interrupts
+from .interrupts import defer_interrupts, stop_if_requested
 from .kernel_files import kernel_cache_errors, note_use, stop_run_clock
 
 PARALLEL_COMPILATIONS = 16
 """Maximum number of kernels compiled in parallel."""
 COMPILE_PROGRESS_DELAY = 0.5
 """Compile time below which no progress is shown [s]."""
+CHECK_INTERVAL = 0.1
+"""Time between two checks for progress and for requests to stop while kernels are compiled [s]."""
 DEFAULT_BLOCK = 256
 """Threads per CUDA block in a Warp launch that does not specify a number."""
 BLOCK = 64
@@ -193,12 +195,15 @@ def _load_if_missing(kernel: Kernel, block: int, device: wp.Device) -> None:
 
 
 def _load_modules(wanted: Iterable[tuple[KernelModule, int]], device: wp.Device) -> None:
-    """Compile pairs of a kernel module and a block size in parallel, or load them from the cache."""
-    left = deque(_in_order(wanted))
-    start, count, reported = time.monotonic(), len(left), False
+    """Compile pairs of a kernel module and a block size in parallel, or load them from the cache.
+
+    Other threads compile, because Python calls no signal handler while its main thread compiles. After Ctrl-C or a
+    request to stop, each of them still completes the module on which it works, but nobody waits for it.
+    """
+    left, loaded = deque(_in_order(wanted)), list[KernelModule]()
+    start, count, reported = time.monotonic(), len(left), 0.0
 
     def work() -> None:
-        nonlocal reported
         while True:
             try:
                 module, block = left.popleft()
@@ -207,20 +212,26 @@ def _load_modules(wanted: Iterable[tuple[KernelModule, int]], device: wp.Device)
             note_use(module)
             with kernel_cache_errors():
                 load_module(module, device=device, block_dim=block)
-            if (tell := _compile_callback.get()) is not None and time.monotonic() - start > COMPILE_PROGRESS_DELAY:
-                reported = True
-                tell("compiling", 1.0 - len(left) / count)
+            loaded.append(module)
 
-    others = [_compilers().submit(work) for _ in range(min(PARALLEL_COMPILATIONS, default_threads(), len(left)) - 1)]
-    with stop_run_clock():
-        try:
-            work()
-        finally:
-            left.clear()
-            wait(others)
-    for other in others:
-        other.result()
-    if reported and (tell := _compile_callback.get()) is not None:
+    workers = [_compilers().submit(work) for _ in range(min(PARALLEL_COMPILATIONS, default_threads(), count))]
+    tell = _compile_callback.get()
+    try:
+        with stop_run_clock():
+            while wait(workers, CHECK_INTERVAL, FIRST_EXCEPTION).not_done:
+                stop_if_requested()
+                fraction = len(loaded) / count
+                if tell is not None and fraction > reported and time.monotonic() - start > COMPILE_PROGRESS_DELAY:
+                    tell("compiling", fraction)
+                    reported = fraction
+                for worker in workers:
+                    if worker.done():
+                        worker.result()
+    finally:
+        left.clear()
+    for worker in workers:
+        worker.result()
+    if tell is not None and time.monotonic() - start > COMPILE_PROGRESS_DELAY:
         tell("compiling", 1.0)
 
 
