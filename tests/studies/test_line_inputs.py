@@ -64,6 +64,21 @@ def test_without_a_flow_pressures_at_usual_flows_are_printed():
     assert us.exit_code == 0 and "- 15 yd3/h: " in us.output and us.output.count(" psi)") == 10
 
 
+def test_an_assumed_density_is_stated(tmp_path):
+    """The weight of 20 m of concrete follows from it, with and without a flow; a file of a concrete states its own."""
+    remark = "remark: a slump or spread alone says nothing about the density: 2350 kg/m3 is assumed"
+    pipe = ["--diameter", "125mm", "--length", "190m", "--rise", "20m"]
+    (tmp_path / "taps.csv").write_text("place [m],pressure [bar],flow [m3/h]\n0,22,30\n90,12,30\n", encoding="utf-8")
+    for more in (["--flow", "30m3/h"], [], ["--flow", "30m3/h", "--fit", str(tmp_path / "taps.csv")]):
+        done = called("--slump", "180mm", *pipe, *more)
+        assert done.exit_code == 0 and done.output.count(remark) == 1, done.output
+    (tmp_path / "own.yaml").write_text("mix: {density: 2300, slump: 180 mm}\n", encoding="utf-8")
+    done = called("--concrete", str(tmp_path / "own.yaml"), *pipe, "--flow", "30m3/h")
+    assert done.exit_code == 0 and "is assumed" not in done.output
+    us = called("--slump", "7in", "--diameter", "5in", "--length", "480ft")
+    assert "2350 kg/m3 (3961 lb/yd3) is assumed" in us.output
+
+
 def test_a_slump_replaces_the_concrete_of_a_file():
     own, other = called("burj-khalifa"), called("burj-khalifa", "--slump", "220 mm")
     assert own.exit_code == other.exit_code == 0 and "slump 220 mm at" in other.output and "no1 at" in own.output

@@ -30,7 +30,7 @@ from ..studies.lines.fit_files import write_fit
 from ..studies.lines.fit_report import fit_lines
 from ..studies.lines.fittings import cells_of, check_cells, count_text, is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
-from ..studies.lines.losses import with_layer_factor
+from ..studies.lines.losses import ASSUMED_DENSITY, with_layer_factor
 from ..studies.lines.pressures import Stop
 from ..studies.lines.result import lines_of
 from ..studies.lines.taps import Tap, foreign_columns, read_taps
@@ -115,7 +115,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
             )
         if fit is None:
             verdicts = _verdicts(given)
-            said = [*_warnings(verdicts), *_at_usual_flows(pipes, concrete, layer), "", *_rules(verdicts, given, None)]
+            usual = _at_usual_flows(pipes, concrete, layer)
+            said = [*_warnings(verdicts), *usual, *_assumptions(given), "", *_rules(verdicts, given, None)]
         elif out is not None:
             with line_folder(out, {"line": pipes.name, "concrete": given.name, "flow": None, "method": "theory"}):
                 said += write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)
@@ -318,7 +319,15 @@ def _finish(
     """
     others = [] if settings["fit"] is not None else _other_layers(line, given)
     verdicts = _verdicts(given)
-    said = [*_warnings(verdicts), *said, *_factors(given), *_air(given), *others, "", *_rules(verdicts, given, folder)]
+    said = [
+        *_warnings(verdicts),
+        *said,
+        *_factors(given),
+        *_assumptions(given),
+        *others,
+        "",
+        *_rules(verdicts, given, folder),
+    ]
     if folder is not None:
         write_lines(said, folder)
     click.echo("\n" + "\n".join(said))
@@ -341,10 +350,16 @@ def _verdicts(given: LineInputs) -> list[RuleVerdict]:
     return line_rules(given.line, None if given.mix is None else given.mix.given)
 
 
-def _air(given: LineInputs) -> list[str]:
-    """Return lines of text on an assumed air content, if the mix states none."""
-    remarks = () if given.mix is None else given.mix.remarks
-    return [line for remark in remarks if remark.startswith(NO_AIR) for line in ("", f"remark: {remark}")]
+def _assumptions(given: LineInputs) -> list[str]:
+    """Return lines of text on properties of the concrete that are assumed: the air content, or the density."""
+    remarks = [] if given.mix is None else [remark for remark in given.mix.remarks if remark.startswith(NO_AIR)]
+    if given.guessed:
+        density = both(given.line.customary, "kg/m3", ASSUMED_DENSITY)
+        remarks.append(
+            f"a slump or spread alone says nothing about the density: {density} is assumed, which gives the weight of "
+            "the concrete; to state another density, write a file of the concrete (warpcrete mix --help)"
+        )
+    return [line for remark in remarks for line in ("", f"remark: {remark}")]
 
 
 def _factors(given: LineInputs) -> list[str]:
