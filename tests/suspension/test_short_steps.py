@@ -51,5 +51,5 @@ def test_effects_of_search_directions_stay_orthogonal_in_single_precision(device
 
     solve._launch = last_launch
     flow.take(1)
-    # Measured: 1.6e-7, and 3e-4 without the repeated orthogonalisation.
-    assert len(worst) >= 10 and max(worst) < 2e-6
+    # Measured on a CPU: 1.6e-7, and 3e-4 without the repeated orthogonalisation.
+    assert len(worst) >= 10 and max(worst) < 4e-7

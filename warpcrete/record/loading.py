@@ -18,6 +18,7 @@ from ..core.records import Record
 from ..core.run.files import read_json, read_record
 from ..core.run.output import RunOutput
 from ..core.run.run import Run
+from ..core.run.scene_module import SceneModule
 from ..core.run.tables import Table
 from ..scenes import modules
 
@@ -100,7 +101,7 @@ def is_finished(folder: Path) -> bool:
 
 
 @names_from_file()
-def saved_scene(path: Path, known: Record) -> tuple[Record, Any]:
+def saved_scene(path: Path, known: Mapping[str, SceneModule]) -> tuple[Record, Any]:
     """Return the contents of a run folder's scene.json, and the Python module of the scene that the file names.
 
     `known` maps the names of all scenes to their modules. Raises :class:`RunFolderError` if it lacks the scene, or if
@@ -123,7 +124,7 @@ def saved_scene(path: Path, known: Record) -> tuple[Record, Any]:
     return record, module
 
 
-def repeatable_scene(path: Path, known: Record) -> tuple[Record, Any]:
+def repeatable_scene(path: Path, known: Mapping[str, SceneModule]) -> tuple[Record, Any]:
     """Return the contents of scene.json and the Python module of the scene, for a run that is repeated or continued.
 
     Raises :class:`RunFolderError` if the scene was modified after its function had built it, if it was built by hand,

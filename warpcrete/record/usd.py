@@ -30,8 +30,8 @@ class UsdRecorder(Recorder):
     """Recorder that writes scene.usdc, in metres with Z up, at checkpoints and at the end of a run.
 
     The file is also written when a run is interrupted. If `velocities` is true, the file also contains the velocities
-    of rigid bodies and of stones in mortar, which renderers need for motion blur. With rigid bodies, this makes the
-    file one and a half times as large.
+    of rigid bodies, which renderers need for motion blur. This makes the file one and a half times as large. The file
+    always contains the velocities of stones in mortar.
     """
 
     expendable = True
@@ -74,7 +74,7 @@ class UsdRecorder(Recorder):
                         layer.EraseTimeSample(path, code)
         self._build(simulation, Usd.Stage.Open(layer))
 
-    def _build(self, simulation: SimulationBase, stage: object) -> None:
+    def _build(self, simulation: SimulationBase, stage: Any) -> None:
         """Define all objects on the USD stage, with the data that does not change in time.
 
         Objects that exist already, because a run is resumed, keep their time samples.
@@ -93,9 +93,7 @@ class UsdRecorder(Recorder):
         path = f"/Run/{display.noun.capitalize()}"
         if display.has_surface:
             self._bodies = _Surface(stage, path)
-            self._spheres = (
-                _Spheres(stage, "/Run/Aggregates", display, self.velocities) if display.has_spheres else None
-            )
+            self._spheres = _Spheres(stage, "/Run/Aggregates", display) if display.has_spheres else None
         elif rigid is None:
             self._bodies = _Points(stage, path, display)
         else:
@@ -169,7 +167,7 @@ class UsdRecorder(Recorder):
             assert values is not None and paint is not None
             painted.set(values, paint, code)
 
-    def _pose(self, number: int, code: object) -> None:
+    def _pose(self, number: int, code: Any) -> None:
         from pxr import Gf
 
         position, (x, y, z, w) = self._display.wall_pose(number)
@@ -245,7 +243,7 @@ class _Instances:
         extents = np.array([prototype.extent for prototype in rigid.prototypes])
         self._reach = size * extents[rigid.prototype] if len(size) else size
 
-    def frame(self, display: Display, code: object) -> None:
+    def frame(self, display: Display, code: Any) -> None:
         from pxr import Vt
 
         pose = display.pose()
@@ -272,7 +270,7 @@ class _Spheres:
     would interpolate between two arrays of equal length, even if they do not contain the same spheres.
     """
 
-    def __init__(self, stage: Any, path: str, display: Display, velocities: bool) -> None:
+    def __init__(self, stage: Any, path: str, display: Display) -> None:
         from pxr import Gf, UsdGeom, Vt
 
         self._instancer = UsdGeom.PointInstancer.Define(stage, path)
@@ -281,19 +279,17 @@ class _Spheres:
         ball.CreateExtentAttr([Gf.Vec3f(-0.5), Gf.Vec3f(0.5)])
         bind(ball.GetPrim(), bodies_look(stage))
         ball.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(linear(np.array([display.spheres().colour]))))
-        self._velocities = velocities
         self._instancer.CreatePrototypesRel().SetTargets([ball.GetPath()])
 
-    def frame(self, display: Display, code: object) -> None:
+    def frame(self, display: Display, code: Any) -> None:
         from pxr import Vt
 
         spheres, instancer = display.spheres(), self._instancer
         position, radius = spheres.centres.astype(np.float32), spheres.radii.astype(np.float32)
         size = np.repeat(2 * radius[:, None], 3, 1)
         instancer.CreateIdsAttr().Set(Vt.Int64Array.FromNumpy(spheres.ids.astype(np.int64)), code)
-        if self._velocities:
-            velocity = Vt.Vec3fArray.FromNumpy(spheres.velocities.astype(np.float32))
-            instancer.CreateVelocitiesAttr().Set(velocity, code)
+        velocity = Vt.Vec3fArray.FromNumpy(spheres.velocities.astype(np.float32))
+        instancer.CreateVelocitiesAttr().Set(velocity, code)
         instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
         instancer.CreateScalesAttr().Set(Vt.Vec3fArray.FromNumpy(size), code)
         instancer.CreateProtoIndicesAttr().Set(Vt.IntArray.FromNumpy(np.zeros(len(radius), np.int32)), code)
@@ -312,7 +308,7 @@ class _Surface:
         self._colours = Colours(self._mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex))
         bind(self._mesh.GetPrim(), bodies_look(stage))
 
-    def frame(self, display: Display, code: object) -> None:
+    def frame(self, display: Display, code: Any) -> None:
         from pxr import UsdGeom, Vt
 
         mesh, surface = self._mesh, display.bare_surface()
@@ -341,7 +337,7 @@ class _Points:
         self._colours = Colours(self._points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex))
         bind(self._points.GetPrim(), bodies_look(stage))
 
-    def frame(self, display: Display, code: object) -> None:
+    def frame(self, display: Display, code: Any) -> None:
         from pxr import Vt
 
         place = display.centres().astype(np.float32)

@@ -27,7 +27,7 @@ def linear(colours: np.ndarray) -> np.ndarray:
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def describe(stage: object, display: Display, scene: Any) -> None:
+def describe(stage: Any, display: Display, scene: Any) -> None:
     """Write the title, the units and the meaning of the colours into the file and into its root prim."""
     words = (
         f"warpcrete: {scene.caption}; {display.noun} coloured by {display.colouring}. Metres, Z up; time codes are "
@@ -39,7 +39,7 @@ def describe(stage: object, display: Display, scene: Any) -> None:
     stage.GetDefaultPrim().SetDocumentation(words)
 
 
-def light(stage: object, display: Display) -> None:
+def light(stage: Any, display: Display) -> None:
     """Add a sky light, and a sun that shines from a direction above and beside the camera."""
     from pxr import Gf, UsdGeom, UsdLux
 
@@ -60,7 +60,7 @@ def light(stage: object, display: Display) -> None:
     sun.AddTransformOp().Set(turned)
 
 
-def bodies_look(stage: object) -> Any:
+def bodies_look(stage: Any) -> Any:
     """Return a material for bodies, whose colour comes from the USD attribute `displayColor`."""
     from pxr import Sdf
 
@@ -70,7 +70,7 @@ def bodies_look(stage: object) -> Any:
     return material
 
 
-def _by_display_colour(stage: object, surface: object, name: str) -> None:
+def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
     from pxr import Gf, Sdf, UsdShade
 
     reader = UsdShade.Shader.Define(stage, f"{LOOKS}/{name}/Colour")
@@ -82,7 +82,7 @@ def _by_display_colour(stage: object, surface: object, name: str) -> None:
     colour.ConnectToSource(reader.ConnectableAPI(), "result")
 
 
-def wall_look(stage: object, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
+def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
     """Return the USD material, the linear RGB colour and the opacity with which a wall is drawn.
 
     Transparent walls look like glass, and opaque moving walls look like metal. If the wall is `painted`, its material
@@ -105,14 +105,14 @@ def wall_look(stage: object, wall: DrawnWall, name: str, painted: bool = False) 
     return material, colour, opacity
 
 
-def bind(prim: object, material: object) -> None:
+def bind(prim: Any, material: Any) -> None:
     """Assign a material to a USD prim (object of the USD scene) and to all prims below it."""
     from pxr import UsdShade
 
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
 
-def _material(stage: object, name: str) -> tuple[Any, Any]:
+def _material(stage: Any, name: str) -> tuple[Any, Any]:
     from pxr import Sdf, UsdGeom, UsdShade
 
     UsdGeom.Scope.Define(stage, LOOKS)
@@ -139,7 +139,7 @@ class Colours:
         # RGB bytes.
         self._known: dict[int, int] = {}
 
-    def set(self, colours: np.ndarray, code: object) -> None:
+    def set(self, colours: np.ndarray, code: Any) -> None:
         """Set the colours of all bodies, as RGB bytes of shape (n, 3), at the USD time code `code` [ms]."""
         from pxr import Vt
 
@@ -174,7 +174,7 @@ class Painted:
         self._primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
         self._paint: Paint | None = None
 
-    def set(self, values: np.ndarray, paint: Paint, code: object) -> None:
+    def set(self, values: np.ndarray, paint: Paint, code: Any) -> None:
         """Set the colours of the wall at the USD time code `code` [ms].
 
         `values` are the values of the quantity at the wall's vertices, shape (v,), in the unit of `paint`.

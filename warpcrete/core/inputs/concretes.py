@@ -215,10 +215,10 @@ def _factor_sources(given: Mapping[str, object], flow: dict[str, Any], name: str
 
 def _factors(flow: Mapping[str, object]) -> Mapping[str, Any]:
     """Return the factors for another age or temperature in a section `flow`."""
-    found = merged(flow)
-    for key in set(found).difference(FACTOR_KEYS):
-        del found[key]
-    return found
+    factors = merged(flow)
+    for key in set(factors).difference(FACTOR_KEYS):
+        del factors[key]
+    return factors
 
 
 def _is_one(factor: object) -> bool:

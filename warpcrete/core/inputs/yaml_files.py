@@ -40,7 +40,10 @@ PLAIN_TAG = "plain"
 
 
 class FileMapping(dict[str, Any]):
-    """Mapping that was read from a YAML file; `path` is the file, and `lines` holds the line number of each key."""
+    """Mapping whose entries come from files.
+
+    `lines` holds the line of each key; `path` is the file, unless :func:`merged` made the mapping.
+    """
 
     path: Path
     lines: dict[str, int]
@@ -53,18 +56,18 @@ def merged(*mappings: Mapping[str, object]) -> FileMapping:
 
     Entries of a mapping that was not read from a file have neither.
     """
-    found, lines, files = FileMapping(), dict[str, int](), dict[str, Path]()
+    union, lines, files = FileMapping(), dict[str, int](), dict[str, Path]()
     for mapping in mappings:
         for key, value in mapping.items():
-            found[key] = value
+            union[key] = value
             lines.pop(key, None)
             files.pop(key, None)
             if isinstance(mapping, FileMapping):
                 lines |= {key: mapping.lines[key]} if key in mapping.lines else {}
                 path = mapping.files.get(key, getattr(mapping, "path", None))
                 files |= {} if path is None else {key: path}
-    found.lines, found.files = lines, files
-    return found
+    union.lines, union.files = lines, files
+    return union
 
 
 class FileList(list[Any]):

@@ -296,12 +296,12 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
         raise RunFolderError(f"'{run}': {missing_recording(run)}")
     # The recording of an unfinished run has several files, which the viewer shows as one recording.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
-    found = [path for path in (recording, *parts) if is_recording(path)]
-    if not found:
+    readable_files = [path for path in (recording, *parts) if is_recording(path)]
+    if not readable_files:
         raise RunFolderError(f"'{recording}': is empty or damaged, so it is not a recording (.rrd); repeat the run")
-    if damaged := [path.name for path in (recording, *parts) if path not in found]:
+    if damaged := [path.name for path in (recording, *parts) if path not in readable_files]:
         warn(f"'{run}': {', '.join(damaged)}: empty or damaged, so the viewer shows only a part of the run")
-    return (web_viewer if web or not has_screen() else screen_viewer)(found, bind)
+    return (web_viewer if web or not has_screen() else screen_viewer)(readable_files, bind)
 
 
 def _column_title(column: str) -> str:

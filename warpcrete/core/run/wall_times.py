@@ -49,7 +49,7 @@ class WallTimes:
 
     @property
     def running(self) -> float:
-        """Wall time that the run has taken since t = 0, up to now [s]."""
+        """Wall time that the run has taken since t = 0, up to now and without the time to load kernels [s]."""
         return self._before_resume + (0.0 if self._started is None else run_clock() - self._started)
 
     @property

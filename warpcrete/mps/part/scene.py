@@ -177,8 +177,8 @@ class PartScene(Parametrised, PartSettings):
             # Compare with a tolerance for rounding errors, because the lengths of the straight pipes at both ends are
             # differences of arc lengths.
             if length < shortest * (1 - 1e-9):
-                share = "" if end > begin else "; this length is half of the pipe"
-                problem = f"is too short to measure the pressure loss of straight pipe{share}"
+                remark = "" if end > begin else "; this length is half of the pipe"
+                problem = f"is too short to measure the pressure loss of straight pipe{remark}"
                 check = ", or check 'wall_scale'" * (self.wall is not None)
                 hint = f"use {at_least(shortest)} m or more for this bore of {2 * float(self.bore(at)):.3g} m{check}"
                 refuse("straight", length, problem, hint)
