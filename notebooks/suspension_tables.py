@@ -284,8 +284,10 @@ class Tables:
                     # Where bars stand, the thickness of the concrete is not its height.
                     free = np.array(surface["base"]["value"]) == 0
                     height = np.where(free, 1e3 * np.array(surface["height"]["value"]), np.nan)
-                    axes.plot(1e3 * np.array(surface["place"]["value"]), height,
-                              color=rgb(SERIES["flow" in name]), label=store["varied"]["method"])  # fmt: skip
+                    method, seed = store["varied"]["method"], store["varied"]["seed"]
+                    label = method if method == "flow" else f"{method}, seed {seed}"
+                    axes.plot(1e3 * np.array(surface["place"]["value"]), height, color=rgb(SERIES[method == "flow"]),
+                              linestyle=("-", "--", ":")[seed % 3], label=label)  # fmt: skip
             axes.set(ylabel="height [mm]", title={"slump": "slump test", "jring": "J-ring test"}[test])
         figure.axes[1].set_xlabel("distance from the axis [mm]")
         legend_above(figure.axes[0])
@@ -355,9 +357,8 @@ class Tables:
         head = ["bars", "gap / size", "fraction", "seeds", "aggregates passed", "error by their number",
                 "mortar passed", "blocking step [mm]", "spread [mm]"]  # fmt: skip
         self.write("blocking", head, rows)
-        self.reducers(
-            [store for store in stores.values() if store["varied"]["kind"] == "reducer" and store["finished"]]
-        )
+        if reducers := [s for s in stores.values() if s["varied"]["kind"] == "reducer" and s["finished"]]:
+            self.reducers(reducers)
 
     def reducers(self, stores: list[Store]) -> None:
         """Show the share of random placements of the aggregates for which a reducer was blocked."""
