@@ -9,7 +9,7 @@ import pytest
 import tqdm.auto
 from pumping import command
 
-from warpcrete import scenes
+from warpcrete import SceneError, scenes
 from warpcrete.core.device import kernel_files, launching
 from warpcrete.core.run import progress
 from warpcrete.core.run.progress import ProgressBar
@@ -193,3 +193,17 @@ def test_compiling_is_announced_once_without_a_progress_bar(capsys, monkeypatch)
     monkeypatch.setattr(progress, "_announced", False)
     progress.no_progress("compiling", 0.5)
     assert capsys.readouterr().err == ""
+
+
+def test_a_simulation_of_your_own_may_pass_its_settings_on():
+    """A class that accepts any setting passes it on, and only a class that lists its settings suggests names."""
+
+    class Own(FluidSimulation):
+        def __init__(self, scene, **settings):
+            super().__init__(scene, **settings)
+
+    assert str(Own(scenes.channel(), device="cpu").device) == "cpu"
+    with pytest.raises(TypeError, match="devise"):
+        Own(scenes.channel(), devise="cpu")
+    with pytest.raises(SceneError, match=r"setting = 'devise': is not a setting of .*did you mean 'device'"):
+        FluidSimulation(scenes.channel(), devise="cpu")

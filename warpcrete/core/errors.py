@@ -29,7 +29,8 @@ the size."""
 MOST_NAMES_LISTED = 12
 """Maximum number of allowed names that an error message lists if it can also suggest the name that was probably meant.
 If there are more names, the message contains only the suggestion."""
-KEYWORDS = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+NAMED_PARAMETERS = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+"""Kinds of parameters that a caller may pass by name."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """System error numbers (errno) of a full disk, an exceeded quota, and a file larger than the process may write."""
 
@@ -243,22 +244,22 @@ def refuse_unknown_settings(function: Callable[..., object], settings: Iterable[
     parameters = inspect.signature(function).parameters.values()
     if any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters):
         return
-    known = [each.name for each in parameters if each.kind in KEYWORDS and each.name != "self"]
+    known = [each.name for each in parameters if each.kind in NAMED_PARAMETERS and each.name != "self"]
     for name in settings:
         if name not in known:
-            called = function.__qualname__.removesuffix(".__init__").removeprefix("run_")
-            refuse("setting", name, f"is not a setting of {called}", known_names(name, known))
+            owner = function.__qualname__.removesuffix(".__init__").removeprefix("run_")
+            refuse("setting", name, f"is not a setting of {owner}", known_names(name, known))
 
 
 def with_suggestions(function: Callable[P, T]) -> Callable[P, T]:
     """Return a function that calls `function`, but suggests a name if it gets an unknown keyword."""
 
     @functools.wraps(function)
-    def called(*args: P.args, **settings: P.kwargs) -> T:
+    def checked_call(*args: P.args, **settings: P.kwargs) -> T:
         refuse_unknown_settings(function, settings)
         return function(*args, **settings)
 
-    return called
+    return checked_call
 
 
 def _after(unit: str) -> str:
