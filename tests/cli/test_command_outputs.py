@@ -98,7 +98,7 @@ def test_what_a_validation_and_a_reproduction_print(monkeypatch, tmp_path):
     """A summary or every case, blocking and refusals; the table of a paper, and how to continue what is unfinished."""
     found = SimpleNamespace(
         summary_lines=lambda: ["one line", "for each kind"], table=lambda: "every case",
-        blocking=[1], blocking_lines=lambda: ["3 of 4 blocked"],
+        comparisons=[1], blocking=[1], blocking_lines=lambda: ["3 of 4 blocked"],
         refused={"smith-1": "no density"},
     )  # fmt: skip
     monkeypatch.setattr(CLI["validate"], "validate", lambda *given, **settings: found)
@@ -107,6 +107,11 @@ def test_what_a_validation_and_a_reproduction_print(monkeypatch, tmp_path):
     assert short[-3:] == ["", "3 of 4 blocked", "refused: smith-1: no density"]
     found.blocking, found.refused = [], {}
     assert command("validate", "--quiet").stdout.splitlines() == short[:-3]
+    found.comparisons, found.refused = [], {"smith-1": "no density"}
+    for words in ((), ("--every",)):
+        nothing = command("validate", "--quiet", *words)
+        assert nothing.returncode == 2 and nothing.stdout.splitlines() == ["refused: smith-1: no density"]
+        assert nothing.stderr.startswith("error: cases: none was compared") and nothing.stderr.count("\n") == 1
     (tmp_path / "reproduction.md").write_text("a table\n", encoding="utf-8")
     for finished, code in ((True, 0), (False, 130)):
         made = SimpleNamespace(folder=tmp_path, finished=finished)
