@@ -112,16 +112,16 @@ def _scenes(display: Display, network: bool) -> list[Shown]:
     contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
     if display.has_surface:
         if display.cut is not None:
-            views.append(("Cut through the middle", [*contents, f"- scene/{noun}"], None))
+            views.append((display.cut_title, [*contents, f"- scene/{noun}"], None))
         return views
     kept = spheres_behind_cut(display)
     if kept is not None:
         import rerun as rr
 
-        # In the view "Cut through the middle", bodies that are in front of the cutting plane at the start have the
+        # In the cut view, bodies that are in front of the cutting plane at the start have the
         # radius 0, which hides them. The view therefore needs no second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
-        views.append(("Cut through the middle", contents, hidden))
+        views.append((display.cut_title, contents, hidden))
     if network:
         views.append(("Force chains", ["+ scene/**", f"- scene/{noun}", f"- {CUT}/**"], None))
     return views

@@ -377,6 +377,11 @@ class Display(ABC):
         lower, upper = self.bounds()
         return float(0.5 * (lower[1] + upper[1]))
 
+    @property
+    def cut_title(self) -> str:
+        """Title of the view that shows the parts beyond the cutting plane."""
+        return "Cut through the middle"
+
     def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
         """Return a camera position and the point to look at, both of shape (3,) [m].
 
