@@ -120,11 +120,12 @@ def by_method(name: str, method: str) -> str:
 def suspended(name: str, bend: bool = True) -> dict[str, Any]:
     """Return the parameters with which the scene `by_method(name, "suspension")` is simulated as a suspension.
 
-    `bend` is True if the user wants a pipe with a bend.
+    The constants of the user then describe the concrete, as they do for other methods. `bend` is True if the user wants
+    a pipe with a bend.
     """
     target = by_method(name, "suspension")
     of_pipe = PIPE_AS_PART | (BEND_AS_PART if bend else {})
-    return {**(of_pipe if name == "pipe" else {}), **modules()[target].suspension}
+    return {**(of_pipe if name == "pipe" else {}), **modules()[target].suspension, "constants_of": "concrete"}
 
 
 def __dir__() -> list[str]:

@@ -41,8 +41,7 @@ class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings
     ] = 4e-3
     aggregate_fraction: Annotated[
         float,
-        "Volume fraction of the aggregates, which are rigid bodies in mortar; the constants of the concrete describe "
-        "the mortar",
+        "Volume fraction of the aggregates, which are rigid bodies in mortar",
         Within(0, MAX_FRACTION),
     ] = 0.2
 
@@ -64,7 +63,7 @@ def scene(parameters: StretchParameters) -> StretchScene:
     concrete = given.make_concrete(given.surfaces == "slips")
     if given.surfaces == "sticks":
         concrete = replace(concrete, **NO_LAYER)
-    stretch = StretchScene(
+    stretch = given.with_mortar(StretchScene(
         name="stretch",
         concrete=concrete,
         radius=given.diameter / 2,
@@ -75,7 +74,7 @@ def scene(parameters: StretchParameters) -> StretchScene:
         remarks=REMARKS,
         **given.aggregates(),
         **{f.name: getattr(given, f.name) for f in fields(StretchSettings)},
-    )
+    ))  # fmt: skip
     check_velocity("gradient", given.gradient, stretch.mortar_alone.flow / (math.pi * stretch.radius**2))
     return stretch
 

@@ -19,8 +19,9 @@ def test_the_defaults_of_a_suspension_fit_together(name):
 
 def test_given_parameters_replace_those_of_the_method():
     words = ["run", "slump", "--precision=float32", "--method", "suspension", "--aggregate-fraction", "0.1"]
-    assert by_method(words[1:]) == ["slump", "--precision=float32", "--aggregate-fraction", "0.1"]
-    added = ["--aggregate-fraction", "0.2"]
+    concrete = ["--constants-of", "concrete"]
+    assert by_method(words[1:]) == ["slump", *concrete, "--precision=float32", "--aggregate-fraction", "0.1"]
+    added = ["--aggregate-fraction", "0.2", *concrete]
     assert by_method(["--quiet", "lbox", "--method=suspension"]) == ["--quiet", "lbox", *added]
 
 

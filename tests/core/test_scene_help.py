@@ -98,3 +98,12 @@ def test_titles_of_scenes_are_those_of_their_files(tmp_path):
         ("heap-dem", "Heap of concrete, by discrete elements."),
         ("two-words-dem", "Box, by discrete elements."),
     ]
+
+
+@pytest.mark.parametrize("name", scenes.modules())
+def test_scenes_from_the_same_parameters_are_equal(name):
+    """A scene may contain arrays, such as those of a mesh, which Python itself cannot compare."""
+    make = scenes.modules()[name].scene
+    first, second = make(), make()
+    assert first == second and first != make(seed=7)
+    assert len({*getattr(first, "walls", ()), *getattr(second, "walls", ())}) == len(getattr(first, "walls", ()))

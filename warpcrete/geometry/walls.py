@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import PlausibilityWarning, between, positive, refuse, vector, warn
+from ..core.inputs.fingerprints import EqualByContent
 from ..kernels.common.walls import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED
 from .axis import Axis, Line
 from .cleaning import clean
@@ -281,8 +282,8 @@ class PipeWall(_Wall):
         return self.axis.tube(self.radius, SIDES)
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeshWall(_Wall):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeshWall(EqualByContent, _Wall):
     """Rigid triangle mesh; material may lie on either side.
 
     Coincident corners are merged, and triangles that repeat others in either orientation are removed.

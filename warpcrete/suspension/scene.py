@@ -1,16 +1,16 @@
 """Scenes of a mortar with aggregates and a free surface."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from ..core.errors import at_most, refuse
-from ..core.inputs.parameters import Above, Declared, Needs, Suggests, Within
+from ..core.inputs.parameters import Above, Declared, Needs, OneOf, Suggests, Within
 from ..dem.scene.clumps import TEMPLATE_SETS, ClumpTemplate, templates
 from ..dem.scene.sizes import SieveCurve
 from ..mps.free.scene import FreeScene
 from ..theory.pipe import Concrete
-from ..theory.suspension import concrete_of_mortar
+from ..theory.suspension import concrete_of_mortar, mortar_of
 from .aggregates import MIN_CELLS
 
 UNIFORM = "uniform"
@@ -26,14 +26,18 @@ USED_BY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", refused=Fal
 where it has no effect."""
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
+DESCRIBED = ("mortar", "concrete")
+"""Values of `constants_of`: the material that the stated density, viscosity and yield stress describe."""
 USUAL_CELLS = 4.0
 """Default number of cells across the narrowest side of the smallest aggregates."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SphereFields:
-    """Fields of a scene that describe its aggregates."""
+    """Fields of a scene that describe its mortar and its aggregates."""
 
+    concrete: Concrete
+    """Constants of the mortar alone."""
     spacing: float
     """Requested width of the cells [m]. The actual width may differ, because a whole number of cells must fit."""
     aggregate_fraction: float
@@ -111,6 +115,9 @@ class SphereFields:
                    "size as mortar")  # fmt: skip
 
 
+S = TypeVar("S", bound=SphereFields)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SuspensionScene(SphereFields, FreeScene):
     """Mortar with rigid aggregates in a vessel; `concrete` holds the constants of the mortar alone."""
@@ -144,10 +151,17 @@ class AggregateParameters(Declared):
 
     aggregate_fraction: Annotated[
         float,
-        "Volume fraction of aggregates that are simulated as rigid bodies in mortar; the constants of the concrete "
-        "then describe the mortar. 0: the concrete is one fluid without aggregates",
+        "Volume fraction of aggregates that are simulated as rigid bodies in mortar. 0: the concrete is one fluid "
+        "without aggregates",
         Within(0, MAX_FRACTION),
     ] = 0.0
+    constants_of: Annotated[
+        str,
+        "What density, viscosity and yield stress describe if there are aggregates: mortar, or concrete (mortar with "
+        "its aggregates; those of the mortar are then calculated)",
+        OneOf(DESCRIBED),
+        USED_BY_AGGREGATES,
+    ] = "mortar"
     aggregate_smallest: Annotated[
         float | None,
         "Smallest diameter of the simulated aggregates [m], at least three cells; default: such that their narrowest "
@@ -223,6 +237,23 @@ class AggregateParameters(Declared):
         hint = f"use {at_most(limit, 2)} m or less"
         refuse(name, value, f"is too large: {why}", hint if value == self.coarsest else f"{hint} as the largest size")
 
+    def with_mortar(self, scene: S) -> S:
+        """Return the scene with the constants of its mortar, if the stated constants describe the concrete.
+
+        They follow from the volume fraction of the simulated aggregates, see :func:`mortar_of`. Raises
+        :class:`SceneError` if the stated density is too small for a concrete with these aggregates.
+        """
+        if self.constants_of == "mortar":
+            return scene
+        fraction = scene.simulated_fraction
+        if scene.concrete.density <= fraction * scene.aggregate_density:
+            problem = (
+                f"is too small for a concrete of which {fraction:.3g} of the volume are aggregates of "
+                f"{scene.aggregate_density:g} kg/m3"
+            )
+            refuse("density", scene.concrete.density, problem, "use a larger 'density', or 'constants_of' = mortar")
+        return replace(scene, concrete=mortar_of(scene.concrete, fraction, scene.aggregate_density))
+
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""
         return {
@@ -246,5 +277,5 @@ def read_sieve(sizes: str) -> SieveCurve | None:
 def vessel_scene(parameters: AggregateParameters, **fields: object) -> FreeScene:
     """Return the scene of a vessel, with aggregates if their volume fraction is above 0."""
     if parameters.aggregate_fraction > 0:
-        return SuspensionScene(**fields, **parameters.aggregates())
+        return parameters.with_mortar(SuspensionScene(**fields, **parameters.aggregates()))
     return FreeScene(**fields)

@@ -188,7 +188,7 @@ def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
 def _load_if_missing(kernel: Kernel, block: int, device: wp.Device) -> None:
     """Load the module of a kernel for blocks of `block` threads, unless it has been loaded for this device."""
     block = block if parallel(device) else 1
-    if (device.context, block) in kernel.module.execs:
+    if (device.context, block) in kernel.module.execs:  # pyright: ignore[reportUnknownMemberType]
         note_use(kernel.module)
     else:
         _load_modules([(kernel.module, block)], device)

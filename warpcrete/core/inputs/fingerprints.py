@@ -23,6 +23,19 @@ def fingerprint(value: object) -> str:
     return digest.hexdigest()
 
 
+class EqualByContent:
+    """Base of dataclasses with arrays: objects are equal if they have the same class and the same contents.
+
+    The comparison that Python adds to dataclasses fails for arrays, so derived classes need `eq=False`.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and fingerprint(other) == fingerprint(self)
+
+    def __hash__(self) -> int:
+        return hash(fingerprint(self))
+
+
 def _feed(update: Callable[[bytes], None], value: object) -> None:
     """Pass the bytes of a value, piece by piece, to the function `update` of a hash."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ...core.errors import SceneError, between, refuse
+from ...core.inputs.fingerprints import EqualByContent
 
 SHARE_POINTS = 64
 """Number of grid points along the longest side of a clump, with which its volume is divided among its spheres."""
 
 
 @dataclass(frozen=True, eq=False)
-class ClumpTemplate:
+class ClumpTemplate(EqualByContent):
     """Shape of an aggregate at unit size, that is, with the volume of a sphere of diameter 1.
 
     Sphere centres are relative to the centroid of the spheres' union, in its principal axes. A body multiplies all

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.errors import positive, refuse
 from ...core.inputs.field_help import help_on_fields
+from ...core.inputs.fingerprints import EqualByContent
 from ...geometry.axis import Axis
 from ...geometry.bores import Bores
 from ...geometry.meshes import load_closed, signed_distance
@@ -101,8 +102,8 @@ class PipeContainer:
         return points + (r * np.cos(angle))[:, None] * normal + (r * np.sin(angle))[:, None] * side
 
 
-@dataclass(frozen=True)
-class MeshContainer:
+@dataclass(frozen=True, eq=False)
+class MeshContainer(EqualByContent):
     """Interior of a closed triangle mesh, a ``trimesh.Trimesh`` or a path that trimesh can read.
 
     A mesh of two nested surfaces encloses the space between them, as around an obstacle. For a vessel with thick walls,

@@ -15,6 +15,7 @@ from ...core.drawing.html import Parametrised
 from ...core.drawing.style import pumping_caption
 from ...core.errors import between, flag, one_of, positive, refuse, vector
 from ...core.inputs.field_help import help_on_fields
+from ...core.inputs.fingerprints import EqualByContent
 from ...geometry.axis import Axis
 from ...geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
 from ...standards import StandardTest
@@ -46,8 +47,8 @@ class AxisDrive:
 
 
 @help_on_fields
-@dataclass(frozen=True, kw_only=True)
-class Bodies:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bodies(EqualByContent):
     """Bodies of one shape and one density, which a scene places at given positions."""
 
     positions: np.ndarray

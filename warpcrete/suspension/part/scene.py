@@ -78,5 +78,5 @@ def part_scene(parameters: AggregateParameters, **given: object) -> PartScene:
     """Return the scene of a part of a pump line, with aggregates if their volume fraction is above 0."""
     if parameters.aggregate_fraction > 0:
         settings = {f.name: getattr(parameters, f.name) for f in fields(BlockageSettings)}
-        return PartSuspensionScene(**given, **settings, **parameters.aggregates())
+        return parameters.with_mortar(PartSuspensionScene(**given, **settings, **parameters.aggregates()))
     return PartScene(**given)

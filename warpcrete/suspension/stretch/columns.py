@@ -39,9 +39,9 @@ class ColumnWithAggregates(FlowParameters, AggregateParameters):
 
     aggregate_fraction: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
         float | None,
-        "Volume fraction of the coarse aggregate. Without 'aggregates', each aggregate is a rigid body on a grid, and "
-        "the constants of the concrete describe the mortar. With 'aggregates', each is a rigid group of particles, "
-        "and the default is the gravel content of the concrete",
+        "Volume fraction of the coarse aggregate. Without 'aggregates', each aggregate is a rigid body on a grid. "
+        "With 'aggregates', each is a rigid group of particles, the constants describe the concrete, and the default "
+        "is the gravel content of the concrete",
     ] = None
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), ANY_AGGREGATES] = 2630.0
     courant: Annotated[Courant, USED_BY_AGGREGATES] = 0.5
@@ -72,7 +72,7 @@ def suspended_column(name: str, dimensions: int, given: ColumnWithAggregates) ->
     line, form = Line(radius=radius, length=given.length, gravity=0.0), "plane" if dimensions == 2 else "pipe"
     shared = {f.name: getattr(given, f.name) for f in fields(StretchSettings) if hasattr(given, f.name)}
     depth = DEPTH_SIZES * given.coarsest if dimensions == 2 else 0.0
-    return StretchScene(
+    stretch = StretchScene(
         name=name,
         concrete=concrete,
         radius=radius,
@@ -86,6 +86,8 @@ def suspended_column(name: str, dimensions: int, given: ColumnWithAggregates) ->
         **AggregateParameters.aggregates(given),
         **shared | {"duration": given.duration or DURATION},
     )
+    mixed = given.with_mortar(stretch)
+    return replace(mixed, gradient=steady(mixed.concrete, line, flow, form).pressure / given.length)
 
 
 def check_column(run: Run) -> dict[str, tuple[bool, str]]:
