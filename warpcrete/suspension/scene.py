@@ -139,6 +139,11 @@ class SuspensionScene(SphereFields, FreeScene):
         """Concrete of mortar and aggregates, for closed-form solutions. Its constants follow from homogenisation."""
         return concrete_of_mortar(self.concrete, self.simulated_fraction, self.aggregate_density)
 
+    @property
+    def caption(self) -> str:
+        """Scene, mortar and aggregates in words, for titles of figures and recordings."""
+        return f"{self.name}, mortar {self.concrete.words} with {100 * self.aggregate_fraction:.3g} % of aggregates"
+
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
 
@@ -252,7 +257,8 @@ class AggregateParameters(Declared):
                 f"{scene.aggregate_density:g} kg/m3"
             )
             refuse("density", scene.concrete.density, problem, "use a larger 'density', or 'constants_of' = mortar")
-        return replace(scene, concrete=mortar_of(scene.concrete, fraction, scene.aggregate_density))
+        mortar = mortar_of(scene.concrete, fraction, scene.aggregate_density)
+        return replace(scene, concrete=replace(mortar, name=scene.concrete.name))
 
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""
