@@ -204,7 +204,7 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
         )
     if settings["fit"] is not None and heavy:
         raise click.UsageError(
-            f"{_stated('fit', settings)}: is compared with theory, not with simulations; leave out --simulate and "
+            f"{_stated('fit', settings)}: is fitted with theory, not with simulations; leave out --simulate and "
             "--method"
         )
 

@@ -139,8 +139,9 @@ def draw(simulation: ElementSimulation, run: ElementRun, colouring: str | None) 
 def plot_strokes(run: ElementRun) -> Figure | None:
     """Return a figure of pumping pressure [kPa] over time [s], for a piston that stops and starts again.
 
-    The pauses between two strokes of the piston are shaded. A vertical line marks the time of the rest, if the scene
-    has one. In a rest, the concrete stands still for minutes and its yield stress grows, but no time is simulated.
+    The pauses between two strokes of the piston are shaded. A vertical line marks the rest, if the scene has one. A
+    rest represents minutes in which the concrete does not move and its yield stress grows. The simulation raises the
+    yield stress at once, so a rest takes no simulated time.
     """
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
     if stops is None:

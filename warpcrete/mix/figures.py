@@ -56,7 +56,10 @@ def short(value: float) -> str:
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """Return a property whose uncertainty band reaches from (1 - `off`) to (1 + `off`) times its value."""
+    """Return a property whose uncertainty band reaches from (1 - `off`) to (1 + `off`) times its value.
+
+    `way` names the entry of the mix from which the value follows.
+    """
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 

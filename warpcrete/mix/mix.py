@@ -384,7 +384,7 @@ def _flow_amount(key: str, value: object) -> float:
 
 
 def flow_amounts(found: NamedConcrete) -> dict[str, float]:
-    """Return the flow constants and factors that a concrete states, as numbers in SI units.
+    """Return the flow constants and factors given in the description of a concrete, as numbers in SI units.
 
     Raises :class:`SceneError` for an unknown constant, and for an impossible value.
     """

@@ -33,7 +33,7 @@ LABEL_WIDTH = 34
 """Number of characters after which the label of an axis continues on a new line."""
 HEIGHT = 3.2  # height of a panel with its legend [inch]
 LEGEND_ROW = 0.21  # height of a row of a legend [inch]
-USUAL_ROWS = 2  # number of rows of a legend for which a panel of this height has room
+USUAL_ROWS = 2  # number of legend rows that fit into a panel of height HEIGHT
 MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
 THEORY_POINTS = 21  # number of points of a theoretical curve
@@ -252,7 +252,7 @@ def _panel(
                 continue
             scatter = np.nan_to_num([row[f"{each.name}_scatter"] for row in part]) * y_scale[0]
             title = each.title if len(drawn) > 1 or not label else ""
-            # Join the points by lines, unless a line for the values by theory already joins them.
+            # Join the points by lines, unless the panel already shows the theoretical curve of this quantity.
             joined = numeric and f"{each.name}_theory" not in theories
             name_of_series = ", ".join(filter(None, (title, label)))
             partial = [k for k, row in enumerate(part) if f"{each.name}_runs" in row]

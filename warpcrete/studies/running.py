@@ -252,7 +252,7 @@ def _plain(outcome: object) -> Any:
     if not isinstance(outcome, Exception):
         return None
     linked: BaseException | None = outcome
-    while linked is not None:  # The errors that led to this one hold arrays of the run, too.
+    while linked is not None:  # The causes of the error hold arrays of the run, too.
         linked.__traceback__ = None
         linked = linked.__cause__ or linked.__context__
     return outcome

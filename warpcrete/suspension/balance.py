@@ -319,9 +319,10 @@ class _Step:
         return kinetic / self.dt, damping / self.dt, (ends[1] - ends[0]) / self.dt, ends[1]
 
     def _dissipation(self) -> tuple[float, float, float]:
-        """Return the power that the plastic viscosity and the yield stress of the mortar dissipate, and a force [N].
+        """Return two dissipated powers [W], and the viscous force on faces that move with walls [N].
 
-        The force is that of viscous stresses on faces that move with walls, along the last axis.
+        The plastic viscosity of the mortar dissipates the first power, and its yield stress the second. The force is
+        the component along the last axis of the grid.
         """
         flow, grid = self.flow, self.grid
         width = flow.state.layout.room.width

@@ -285,7 +285,7 @@ def _check_work(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
     """
     name = type(law).__name__
     step = found.work.copy()
-    step[:, 0] = step[:, 1]  # At the gap 0, a law may return no force yet, so use the next value instead.
+    step[:, 0] = step[:, 1]  # At a gap of exactly 0, some laws return no force yet. Use the next step instead.
     step = 0.5 * (step[:, 1:] + step[:, :-1])
     work, scale = np.cumsum(step, axis=1), np.cumsum(np.abs(step), axis=1)
     lost = np.cumsum(found.lost[:, 1:], axis=1)

@@ -53,8 +53,8 @@ class StationLog:
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
         """Return a table by column name: place and radius of each slice of the pipe, and mean measured values.
 
-        Each column has the shape (slices,). Measured values are means over the chosen samples. They are NaN in slices
-        that concrete did not fill in every chosen sample.
+        Each column has the shape (slices,). Measured values are means over the chosen samples. They are NaN in a slice
+        if concrete did not fill it in at least one of these samples.
         """
         means = np.mean(np.array(self.samples)[chosen], axis=0)
         stations = self.stations

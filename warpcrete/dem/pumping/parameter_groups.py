@@ -273,7 +273,7 @@ class BondParameters:
 class PlugParameters:
     """Plug, the front of the concrete.
 
-    Balls or a plate that close the front and carry a pressure against the flow.
+    Balls or a plate that close the front of the concrete and press on it against the flow.
     """
 
     common: ClassVar[tuple[str, ...]] = ()

@@ -35,13 +35,14 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 
 @dataclass(frozen=True)
 class PipeContainer:
-    """Container in the shape of a pipe: a part of the pipe of a given length, closed by a plane at either end.
+    """Container in the shape of a pipe: the first stretch of a pipe, closed by a plane at either end.
 
-    The part begins where the axis begins. A round pipe of constant radius is described by `radius` alone. In other
-    pipes, such as a reducer or a pipe with flat facets, the mesh `bore` is the wall; `radius` is then the smallest
-    radius, and `area` is the mean cross-sectional area. If the radius varies, `bores` gives the radius as a function of
-    arc length, so that aggregates are placed evenly over the volume. If the cross-section is not round, `clear` gives
-    the radii of the largest circles about the axis that lie inside the bore; aggregates are placed in these circles.
+    The stretch begins where the axis of the pipe begins, and has a given length. A round pipe of constant radius is
+    described by `radius` alone. In other pipes, such as a reducer or a pipe with flat facets, the mesh `bore` is the
+    wall; `radius` is then the smallest radius, and `area` is the mean cross-sectional area. If the radius varies,
+    `bores` gives the radius as a function of arc length, so that aggregates are placed evenly over the volume. If the
+    cross-section is not round, `clear` gives the radii of the largest circles about the axis that lie inside the bore;
+    aggregates are placed in these circles.
     """
 
     axis: Axis

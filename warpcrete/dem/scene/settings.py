@@ -88,7 +88,7 @@ class TimeStep(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Settle(Declared):
-    """Settling before t = 0: walls that will move stand still, gravity and driving forces act, and motion is damped."""
+    """Settling before t = 0. Gravity and driving forces act, motion is damped, and all walls stand still."""
 
     called = "settle"
 

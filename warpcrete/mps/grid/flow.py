@@ -159,8 +159,8 @@ class GridFlow(Stepping):
 
     @property
     def _largest_graph(self) -> int:
-        # Between graphs, the threads check whether other programs use their cores. Steps on a grid take long, so allow
-        # only few of them per graph.
+        # The threads check only between two graphs (recorded sequences of steps) whether other programs use their
+        # cores. A step on a grid takes long, so a graph has only few steps, to keep these checks frequent.
         return LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
 
     @property

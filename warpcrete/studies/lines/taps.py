@@ -32,7 +32,7 @@ class Tap:
     pressure: float
     """Measured pressure [Pa]."""
     flow: float
-    """Volume flow in the line at which the pressure was measured [m3/s]."""
+    """Volume flow through the line during the pressure measurement [m3/s]."""
     row: int
     """Line number of the reading in the file of measurements, for messages."""
 

@@ -34,13 +34,13 @@ FITTED = {
     "layer": ("suzuki-2004",),
     "blocking": ("tuutti-1976", "coils-10mm", "coils-20mm", "coils-30mm", "concrete-construction", "nara"),
 }
-"""Groups of cases, by kind, from which constants or rules of the program were taken, so that they are never held out.
+"""Groups of cases, by kind, that determined constants or rules of the program and are therefore never held out.
 
-The constants are the height of the centre of a heap, ends of the bands of yield stresses from a slump and from a
-rheometer, the range of the friction of bends, the factor of a viscosity-modifying admixture, and limits of rules
-against blocking. Most groups were used before the choice of held-out groups. The last two groups on blocking led to the
-rule on lightweight aggregate: in one of them, the earlier rules missed a blockage, and the other is the source of the
-rule.
+The slump cases determined the height at the centre of a heap and the uncertainty bands of yield stresses. The other
+cases determined the range of the friction of bends, the factor of a viscosity-modifying admixture, and limits of the
+rules against blocking. Most groups were used before the held-out groups were chosen. Two groups led to the rule on
+lightweight aggregate: the earlier rules missed a blockage in `concrete-construction`, and `nara` is the publication
+that states the rule.
 """
 
 ADDED = {
