@@ -79,7 +79,7 @@ def line_of(given: Mapping[str, object], name: str = "line", folder: Path = Path
     for key in (each for each in given if each in OF_CONCRETES):
         with errors_located_at(given, key):
             hint = "give this file as --concrete, or as 'concrete' in the file of a line"
-            if isinstance(given.get("parts"), list):  # The parts of a line are a list, and those of a mix a mapping.
+            if isinstance(given.get("parts"), list):  # A list describes a line, a mapping a mix.
                 hint = "move it to a file of its own, and name this file as 'concrete', or use the option --slump"
             refuse("line's key", key, "describes a concrete, not a line", hint)
     for key in given:

@@ -78,7 +78,7 @@ def draw(
             )
         compared = [known[name] for name in (quantity, f"{quantity}_theory") if name in known]
     else:
-        # If the values by theory are drawn, the panel of deviations from theory is superfluous.
+        # A figure that shows the theoretical values needs no panel of deviations from theory.
         drawn = {each.name for each in compared}
         compared = [
             each

@@ -114,7 +114,7 @@ def worst(
 def start(device: str, precision: str) -> list[Row]:
     """Compare flows that start from rest with the one-dimensional solution.
 
-    The flows in channel and tube stick to the wall or slip, and have a yield stress or none.
+    The flows run through a channel and a tube, with and without slip at the wall, and with and without a yield stress.
     """
     rows = []
     for dimensions, form in ((2, "channel"), (3, "tube")):

@@ -218,8 +218,8 @@ class Display(ABC):
         """Let `job` draw the present state; the arguments of `job` are the simulated time [s] and the number of steps.
 
         `later` is the recorder thread, which draws while the simulation goes on. The first job runs at once in the
-        calling thread, and the display records which values it reads. For each of the next jobs, this method copies
-        these values, and the recorder thread runs the job. Without such a thread, all jobs run at once.
+        calling thread, and the display records which values the job reads. For each of the next jobs, this method
+        copies these values, and the recorder thread runs the job. Without such a thread, all jobs run at once.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
         if not later.in_thread or not self._complete:

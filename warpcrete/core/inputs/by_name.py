@@ -108,8 +108,8 @@ class ByName(CompositeRule):
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
         """Return an object's class name and field values, and whether an equal object can be made from them.
 
-        This is impossible if the class cannot be imported by its name, or if it has a field that no annotation declares
-        as a parameter.
+        No equal object can be made if the class cannot be imported by its name, or if it has a field that no annotation
+        declares as a parameter.
         """
         if value is None:
             return {field.name: None}, True

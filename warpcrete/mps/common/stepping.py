@@ -92,7 +92,7 @@ class Stepping(ABC):
         return self.step
 
     def build(self) -> None:
-        """Do the work that the last step requested before the next step, such as a rebuild of the neighbour lists."""
+        """Do the work that must precede the next step, such as a requested rebuild of the neighbour lists."""
         raise TypeError(f"{type(self).__name__} has no neighbour lists to rebuild between steps")
 
     def share(self, abreast: int) -> None:

@@ -64,7 +64,7 @@ def forecast(
 
 
 def course_of(simulation: FreeSimulation) -> Course:
-    """Return the expected duration, mean time step and slowdown of a flow, from a run of a coarser copy.
+    """Predict duration, mean time step and slowdown of later steps of a flow, from a run of a coarser copy.
 
     The run ends when the concrete is at rest or a funnel is empty. If the scene has aggregates, the copy contains the
     mortar without them, because coarser cells would not resolve the aggregates.

@@ -261,7 +261,7 @@ def _target(
             refuse(f"{called} held_out", held, "must be true or false")
     with errors_located_at(given, "uncertainty"):
         uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value), str(given["quantity"]))
-    stated = value if written_text(value) else float(value)  # A text with a unit causes no question about its unit.
+    stated = value if written_text(value) else float(value)  # Keep a text with a unit, to avoid unit hints.
     return Target(given["scene"], str(given["quantity"]), stated, uncertainty, parameters, held, "")
 
 

@@ -72,11 +72,11 @@ def fit_line(
     - The yield stress of the layer keeps its value in `concrete` if all pressures were measured at a single flow, or if
       there are only two pressures, because these do not distinguish it from the layer's viscosity. It also keeps its
       value if its error would exceed half the range of :func:`.known_yields`.
-    - The factor of bends is not fitted if the points are too few, or if its band would be as wide as the band of
-      published measurements, unless only this factor makes the gauges agree with each other. It is also not fitted if
-      the band of the layer is narrower without it, because the gauges hardly distinguish bends from the layer. Each
-      bend then keeps its factor from the table of simulated bends, and the band of the layer contains the effect of
-      published factors. If the fit without this factor is impossible, the result is the fit with it.
+    - The friction factor of bends is left out in three cases: the points are too few; its band would be as wide as the
+      band of published measurements (unless only a fitted factor makes the gauges agree with each other); or the band
+      of the layer is narrower without it, because the gauges hardly distinguish bends from the layer. Each bend then
+      keeps its factor from the table of simulated bends, and the band of the layer contains the effect of published
+      factors. If a fit without this factor is impossible, the factor is fitted.
 
     `prior` describes the slip layer that was expected before the measurement: two concretes, whose layers are at the
     lower and at the upper end of the layer's uncertainty band. :func:`.with_known` combines it with the fit. If no slip
@@ -121,7 +121,7 @@ def fit_line(
     try:
         by_table = finished(_fitted(line, concrete, taps, False, gauge, widest))
     except SceneError:
-        # Bends may have so much more friction than the table states that no slip layer explains it.
+        # The friction of bends may exceed the value in the table so much that no slip layer explains the readings.
         if with_bends is None:
             raise
         return finished(with_bends)

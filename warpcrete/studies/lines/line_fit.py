@@ -18,7 +18,7 @@ OPEN_YIELD, FITTED_YIELD = "unknown yield stress of the slip layer", "yield stre
 """Two causes of uncertainty at flows that were not measured, as reports name them. OPEN_YIELD: the measured pressures
 do not determine the yield stress. FITTED_YIELD: they determine it, but with an error."""
 NO_YIELD = "left out of the fit, because the points would give a negative value"
-"""Reason why the yield stress of the slip layer was left out of a fit, so that it is zero."""
+"""Reason why the yield stress of the slip layer was left out of a fit. It is then zero."""
 
 
 @dataclass(frozen=True)

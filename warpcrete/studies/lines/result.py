@@ -278,7 +278,7 @@ class LineResult(LinePressures):
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         texts += [f"part {x.part.number} was simulated as a fluid without stones; stones may add to its friction, so "
                   "the range of its friction is kept; a measured 'factor' would narrow it"
-                  for x in self.losses  # The friction of a bore differs from the closed form only if it was simulated.
+                  for x in self.losses  # Only a simulated bore has a friction that differs from the closed form.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
             texts.append("no concrete pump is known to deliver more than "
