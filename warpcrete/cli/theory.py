@@ -25,8 +25,8 @@ from .option_amounts import growth_of
 from .option_types import LENGTH
 
 LINE = ("length", "gravity")
-"""Attributes of :class:`Line` that are options of the command as they are. In place of the radius, the user states the
-diameter, and the rise may also be stated as a height."""
+"""Attributes of :class:`Line` for which the command has options with the same names. Instead of the radius, the user
+states the diameter; the rise may also be stated as a height."""
 MOST_FLOWS_SHOWN = 20
 """Maximum number of measured flows for which tables show the closed form; a data logger measures thousands."""
 

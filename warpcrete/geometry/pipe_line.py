@@ -72,7 +72,7 @@ class Part:
 
     @property
     def label(self) -> str:
-        """Short description of the part in words."""
+        """Short text that describes the part."""
         return self.customary_label or self.label_with(1.0, "m", 1e-3, "mm")
 
     def label_with(self, length_unit: float, length_name: str, width_unit: float, width_name: str) -> str:

@@ -107,8 +107,8 @@ def line_uncertainty(error: float, count: int, value: float, default: float) -> 
 def of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
     """Return a property of concrete that was measured as the slope or the intercept of a straight line.
 
-    The line goes through `count` points. `off` is the uncertainty of the value, in `unit`. Raises :class:`SceneError`
-    if the value is negative, or if it is a viscosity of zero.
+    The line goes through `count` points, which `way` describes in messages. `off` is the uncertainty of the value, in
+    `unit`. Raises :class:`SceneError` if the value is negative, or if it is a viscosity of zero.
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):

@@ -203,7 +203,8 @@ def _pair(
 
     `value` is the viscosity and `ends` its band [Pa s/m]. `stress` holds the yield stress and the lower and upper end
     of its band [Pa]. These three stresses are limited to the yield stress of the concrete, because the layer is
-    concrete without stones.
+    concrete without stones. `way` names the entry of the mix from which the layer follows, and `source` the publication
+    of the relation.
     """
     tau, low, high = (min(each, concrete.yield_stress) for each in stress)
     return (
@@ -215,7 +216,8 @@ def _pair(
 def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
     """Return a slip layer fitted to `count` points of a pipe or a tribometer.
 
-    Its uncertainty band covers both the error of the fit and the usual error of this kind of measurement.
+    The uncertainty band of the layer covers both the error of the fit and the usual error of this kind of measurement.
+    `way` describes the points in messages, and `pipe` is True for points of a pipe.
     """
     figures = []
     for name, value, error, unit in (

@@ -191,7 +191,8 @@ def _factors(share: float) -> tuple[tuple[float, float], ...]:
 def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Figure:
     """Return the viscosity or the yield stress of a concrete, calculated from the same property of its mortar.
 
-    `own` is the measured property of the mortar. `place` is 0 for the viscosity and 1 for the yield stress.
+    `own` is the measured property of the mortar. `place` is 0 for the viscosity and 1 for the yield stress. `source` is
+    the publication of the relation between concrete and mortar.
     """
     assert given.share is not None
     value, least, most = (each[place] for each in _factors(given.share))

@@ -97,7 +97,7 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
 def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
     """Return a function that gives the radius of a random shape in some directions, divided by the mean radius.
 
-    The directions are unit vectors, shape (n, dimensions).
+    The directions are unit vectors, shape (n, dimensions). With a `roundness` of 1, the shape is a circle or a ball.
     """
     strength = (1 - roundness) * rng.uniform(0.3, 1.0)
     axis = rng.normal(size=(3, dimensions))

@@ -249,7 +249,7 @@ class FluidScene(Parametrised, FlowSettings):
 
     @property
     def caption(self) -> str:
-        """Scene, diameter, concrete and flow in words, for titles of figures and recordings."""
+        """Text with scene, diameter, concrete and flow, for titles of figures and recordings."""
         if self.dimensions == 2:
             return (
                 f"{self.name}, {2e3 * self.radius:.4g} mm wide, concrete {self.concrete.name}, {self.velocity:.3g} m/s"

@@ -1,4 +1,4 @@
-"""Meaning of the colours of a recording, as a picture and in words."""
+"""Meaning of the colours of a recording, as a picture and as a text."""
 
 import io
 from typing import Any

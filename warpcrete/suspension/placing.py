@@ -95,11 +95,12 @@ def random_places(
 ) -> np.ndarray | None:  # fmt: skip
     """Return random centres of spheres without overlaps, shape (n, 3), or None if the spheres do not fit.
 
-    The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
-    Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
-    of them in narrow gaps. `distance` returns the distance of points from the nearest wall. If `periodic`, the space
-    from `low` to `high` repeats itself along the last axis. The function `draw` draws the random places at the start;
-    if it is None, they are uniformly distributed between the corners.
+    The spheres with the `radii` [m] start at random places in the box between the corners `low` and `high` [m].
+    Iterations push overlapping spheres apart. Random moves without overlaps then spread the spheres like the molecules
+    of a fluid, because pushing leaves too many of them in narrow gaps. The function `distance` returns the distance of
+    points from the nearest wall [m], and `rng` is a random number generator. If `periodic` is true, the space from
+    `low` to `high` repeats itself along the last axis. The function `draw` draws the random places at the start. If
+    `draw` is None, these places are uniformly distributed between the corners.
     """
     period = high[2] - low[2] if periodic else 0.0
     centres = _start(radii, draw or draw_between(low, high), distance, rng)
@@ -124,7 +125,10 @@ def _start(radii: np.ndarray, draw: Draw, distance: Distance, rng: np.random.Gen
 
 
 def _separate(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: float) -> bool:
-    """Push overlapping spheres apart, and return whether no overlap is left."""
+    """Push overlapping spheres apart, and return whether no overlap is left.
+
+    The function moves `centres` [m] in place. `period` is the length after which the space repeats itself [m].
+    """
     goal, needed = 1 + 0.5 * CLEARANCE + MARGIN, 1 + 0.5 * CLEARANCE
     reach = 2 * goal * float(radii.max())
     for _ in range(ITERATIONS):

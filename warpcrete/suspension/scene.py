@@ -228,7 +228,7 @@ class AggregateParameters(Declared):
         return self.diameters[1] if curve is None else curve.largest
 
     def check_largest(self, limit: float, why: str) -> None:
-        """Raise :class:`SceneError` if an aggregate is larger than `limit` [m]; `why` states the reason in words."""
+        """Raise :class:`SceneError` if an aggregate is larger than `limit` [m]; `why` is the text of the reason."""
         if self.coarsest <= limit:
             return
         if self.aggregate_sizes == UNIFORM and self.aggregate_largest is None and self.aggregate_smallest is None:

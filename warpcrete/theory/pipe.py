@@ -164,8 +164,8 @@ def _bulk(concrete: Concrete, line: Line, stress, form: str):
     """Return the part of the mean velocity over the pipe's cross-section that is due to shear of the bulk [m/s].
 
     The rest of the mean velocity is the slip velocity. `stress` is the shear stress tau at the wall [Pa], a number or
-    an array. Let x be the yield stress divided by tau, and mu the plastic viscosity. If the slip layer has no
-    thickness, the result for a Bingham fluid is
+    an array, and `form` is the form of the theory. Let x be the yield stress divided by tau, and mu the plastic
+    viscosity. If the slip layer has no thickness, the result for a Bingham fluid is
 
     - R tau / (4 mu) (1 - 4 x / 3 + x^4 / 3) in a pipe of radius R,
     - R tau / (3 mu) (1 - 3 x / 2 + x^3 / 2) in a channel of half width R.
@@ -210,6 +210,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     """Return the steady state at the volume flow `flow` [m3/s]; its pressure is the one that a pump must deliver.
 
     Concrete at rest can bear any wall stress up to `least_stress`. The result for zero flow has this largest stress.
+    `form` is the form of the theory, one of :data:`FORMS`.
     """
     between("flow", flow, 0, np.inf, "m3/s")
     low = least_stress(concrete, line)
@@ -265,9 +266,9 @@ def _flow_at(concrete: Concrete, line: Line, form: str) -> Callable[[float], flo
 def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
     """Narrow an interval around the root of an increasing function to a few floating-point numbers.
 
-    The function is negative at `low` and not negative at `high`. The same holds at the two ends that are returned. The
-    Illinois method approaches the root from one side only, so one end of the interval may stay far away. The function
-    is therefore also evaluated closely below and above the estimate of the root, and both ends are moved there.
+    `excess` is negative at `low` and not negative at `high`, and also at the two ends that are returned. The Illinois
+    method approaches the root from one side only, so one end of the interval may stay far away. Therefore evaluate the
+    function also closely below and above the estimate of the root, and move both ends there.
     """
     at_low, at_high, last = excess(low), excess(high), math.nan
     if not at_low < 0 <= at_high:
@@ -342,7 +343,7 @@ def restart(
 def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str = "pipe") -> Steady:
     """Return the steady state that a `pressure` [Pa] at the lower end of the pipe drives.
 
-    Raises :class:`SceneError` if nothing flows at this pressure.
+    `form` is one of :data:`FORMS`. Raises :class:`SceneError` if nothing flows at this pressure.
     """
     one_of("form", form, FORMS)
     weight = concrete.density * line.gravity * line.rise * line.length

@@ -90,8 +90,8 @@ def heap_at_rest(
 def heap_volume(reach: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial") -> float:
     """Return the volume of a heap at rest whose radius or half-width is `reach` [m].
 
-    About an axis the result is the volume of the whole heap [m3]. In a plane it is the volume of one half per metre of
-    depth [m2].
+    If `form` is "axial", the result is the volume of the whole heap [m3]. If `form` is "plane", the result is the
+    volume of one half of the heap per metre of depth [m2].
     """
     place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
     depth = heap_depth(reach - place, yield_stress, density, gravity, form)
@@ -114,8 +114,8 @@ def tall_cone_slump(
 ) -> float:  # fmt: skip
     """Return the slump [m] of a truncated cone, in which each layer widens until it bears the weight above it.
 
-    `bears` is the vertical pressure that a layer bears, divided by the yield stress: the square root of 3 by von Mises,
-    or 2 by Tresca as in Murata (1984).
+    `top` and `base` are the radii of the cone [m]. `bears` is the vertical pressure that a layer bears, divided by the
+    yield stress: the square root of 3 by von Mises, or 2 by Tresca as in Murata (1984).
     """
     depth = (np.arange(LAYERS) + 0.5) * height / LAYERS
     radius = top + (base - top) * depth / height

@@ -56,8 +56,9 @@ def settling_pair(across: int, shift: float, ratio: float, way: str, device: str
     """Return the settling speed of two touching spheres in a closed cylinder, divided by the exact speed.
 
     `across` is the number of cells across a sphere, `shift` the offset of the centre along each axis in cells, and
-    `ratio` the radius of a sphere divided by that of the cylinder. The pair moves along its line of centres or across
-    it, depending on `way`. The cylinder slows the pair down like a sphere with the same drag (Brenner 1962).
+    `ratio` the radius of a sphere divided by that of the cylinder. The pair moves along its line of centres if `way` is
+    "along", and across this line if `way` is "across". The cylinder slows the pair down like a sphere with the same
+    drag (Brenner 1962).
     """
     width, outer = 2 * RADIUS / across, RADIUS / ratio
     wide, high = 2 * int(np.ceil(outer / width)) + 4, int(np.ceil(6 * outer / width))

@@ -90,6 +90,6 @@ class Trading:
     the results of a run contain the error of each quantity NAME, under `NAME_error`."""
     variants: Callable[[Any], Mapping[str, Mapping[str, object]]] = lambda given: {}
     """Function that takes the scene's parameters and returns changed parameters for each of several similar scenes. The
-    key of each entry describes the change in words. Recommended settings are also tested on these scenes."""
+    key of each entry is a text that describes the change. Recommended settings are also tested on these scenes."""
     tolerance: str = ""
     """Name of the parameter that sets the largest error that the scene's checks accept; empty if there is none."""

@@ -84,7 +84,7 @@ class Needs:
     field: str
     test: Callable[[Any], bool]
     words: str
-    """Condition in words, such as "is given"; a message shows them after the name of the parameter `field`."""
+    """Text of the condition, such as "is given"; a message shows it after the name of the parameter `field`."""
     others: tuple[str, ...] = ()
     refused: bool = True
     """True if a parameter without effect is an error.
@@ -95,7 +95,7 @@ class Needs:
 
     @property
     def condition(self) -> str:
-        """Condition in words, with the names of the parameters, such as "'aggregate_fraction' is above 0"."""
+        """Text of the condition, with the names of the parameters, such as "'aggregate_fraction' is above 0"."""
         return f"{' or '.join(map(repr, (self.field, *self.others)))} {self.words}"
 
     def holds(self, value: Callable[[str], Any]) -> bool:

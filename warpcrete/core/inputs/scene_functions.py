@@ -39,7 +39,7 @@ def _listed(fields: Iterable[Field]) -> str:
 
 
 def _kind_of(field: Field) -> str:
-    """Return the type and the default of a parameter in words, such as "a number, default 0.15 m"."""
+    """Return the type and the default of a parameter as a text, such as "a number, default 0.15 m"."""
     kind = WORDS.get(field.kind, f"a name or an object of {field.kind.__name__}")
     if field.default is dataclasses.MISSING:
         return f"{kind}, required"

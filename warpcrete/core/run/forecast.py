@@ -19,7 +19,7 @@ class Forecast:
 
     method: str
     device: str
-    """Description, in words, of the device for which the run is forecast."""
+    """Text that describes the device for which the run is forecast."""
     counts: Mapping[str, int]
     """Numbers of bodies, spheres, particles and contacts, by name."""
     features: Mapping[str, str]

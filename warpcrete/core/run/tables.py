@@ -70,9 +70,9 @@ def dataset(
     """Return columns as an xarray Dataset with one dimension, whose coordinate is the column `index`.
 
     The attribute `attrs["units"]` of each variable is its unit, for xarray's plots and for pint, which requires
-    exponents as in "m^3/s". The attribute `attrs["long_name"]` is its name in words. `attributes` become the attributes
-    of the whole Dataset. Raises :class:`WarpcreteError` if xarray is not installed; the message names `instead`, such
-    as "the arrays in run.series", as another way to get the data.
+    exponents as in "m^3/s". The attribute `attrs["long_name"]` is its name with spaces. `attributes` become the
+    attributes of the whole Dataset. Raises :class:`WarpcreteError` if xarray is not installed; the message names
+    `instead`, such as "the arrays in run.series", as another way to get the data.
     """
     try:
         xarray: Any = importlib.import_module("xarray")

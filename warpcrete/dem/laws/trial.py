@@ -79,9 +79,9 @@ class Circumstances:
 def check_own_laws(bodies: Iterable[ContactLaw], walls: Iterable[ContactLaw], where: Circumstances) -> None:
     """Try all contact laws of a scene, if any of them is defined outside this package.
 
-    `bodies` contains the laws between bodies, and `walls` contains the laws on walls. Raises :class:`SceneError` with
-    the name of the function that is wrong, its result and a hint. The trial includes the laws for packing that the
-    method `frictionless` returns.
+    `bodies` contains the laws between bodies, and `walls` contains the laws on walls. `where` holds the spheres and
+    settings of the trial. Raises :class:`SceneError` with the name of the function that is wrong, its result and a
+    hint. The trial includes the laws for packing that the method `frictionless` returns.
     """
     laws = list({id(law): law for law in (*bodies, *walls)}.values())
     if not own_laws(laws):
@@ -126,7 +126,10 @@ def _same_reach(one: _Onset, other: _Onset, where: Circumstances) -> None:
 
 
 def _tried(law: ContactLaw, name: str, where: Circumstances) -> _Onset:
-    """Check a contact law if a user wrote it, and return the overlaps at which it begins to push."""
+    """Check a contact law if a user wrote it, and return the overlaps at which it begins to push.
+
+    `where` holds the spheres and settings of the trial, and `name` is the name of the law in messages.
+    """
     own = bool(own_laws([law]))
     if own:
         check_object(law)

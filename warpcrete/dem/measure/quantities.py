@@ -72,11 +72,11 @@ class Known:
         return losses(self.log.stations, self.log.table(self.window), self.scene.gravity)
 
     def along(self, name: str) -> float | None:
-        """Return the friction loss called `name`; None if it was not measured."""
+        """Return an entry of :attr:`losses`, the friction loss called `name`; None if it was not measured."""
         return self.losses.get(name)
 
     def theory_beside(self, name: str) -> float | None:
-        """Return the closed form of the gradient called `name` in plug flow [Pa/m].
+        """Return the gradient called `name` by the closed form for plug flow [Pa/m].
 
         The result is None if this gradient was not measured, or if the contact laws have no closed form.
         """

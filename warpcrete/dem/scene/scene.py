@@ -144,7 +144,7 @@ class PipeUnit:
     def begun(self, travel: float) -> float:
         """Return the piston's travel [m] at the beginning of the stroke in which it reaches `travel` [m].
 
-        During a stop the next stroke counts as begun.
+        If the piston stops at `travel`, the next stroke counts as begun.
         """
         if self.stops is None:
             return 0.0
@@ -262,7 +262,7 @@ class Scene(Parametrised):
 
     @property
     def caption(self) -> str:
-        """Scene, diameter, concrete (or contact law) and flow in words, for titles of figures and recordings.
+        """Text with scene, diameter, concrete (or contact law) and flow, for titles of figures and recordings.
 
         For a scene without a pipe, the text states the sizes of the aggregates instead of diameter and flow. It omits
         the sizes if no parameters state them.

@@ -194,7 +194,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def caption(self) -> str:
-        """Scene and concrete in words, for titles of figures and recordings."""
+        """Text with scene and concrete, for titles of figures and recordings."""
         return f"{self.name}, concrete {self.concrete.words}"
 
     @property
@@ -204,7 +204,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def form(self) -> str:
-        """Geometry of the flow in words: axisymmetric, plane or three-dimensional."""
+        """Geometry of the flow as a text: axisymmetric, plane or three-dimensional."""
         return "axisymmetric" if self.axial else "three-dimensional" if self.depth else "plane"
 
     def __repr__(self) -> str:

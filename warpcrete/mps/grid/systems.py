@@ -109,8 +109,9 @@ def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return for each row its parent on the next coarser multigrid level, and for each coarser row its children.
 
-    The children are rows of the next finer level. Rows of the coarsest level have the parent -1. The second array has
-    2^axes entries for each coarser row, one after the other; entries without a child are -1.
+    `shapes` and `first` hold the number of cells and the first row of each level, and `copies` is the number of rows
+    for each cell. The children are rows of the next finer level. Rows of the coarsest level have the parent -1. The
+    second array has 2^axes entries for each coarser row, one after the other; entries without a child are -1.
     """
     axes = len(shapes[0])
     parent = np.full(first[-1], -1)

@@ -32,7 +32,7 @@ def forecast(scene: PartScene, device: wp.Device, precision: str, threads: int |
 
 
 def dimensions(scene: PartScene) -> str:
-    """Return the number of dimensions in words, and whether half of the part is simulated."""
+    """Return a text with the number of dimensions, and with the reason if the whole part is simulated."""
     if scene.is_half:
         return "three, half of the part"
     if scene.symmetry == "whole":

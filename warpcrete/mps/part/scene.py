@@ -277,7 +277,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def caption(self) -> str:
-        """Scene, diameter, concrete and flow in words, for titles of figures and recordings."""
+        """Text with scene, diameter, concrete and flow, for titles of figures and recordings."""
         unit = self.parameters.get("line") or self.parameters.get("unit") or ""
         return pumping_caption(f"{self.name} {unit}".strip(), self.radius, self.concrete.name, self.flow)
 

@@ -44,8 +44,8 @@ COARSE_ERROR = 0.1
 trials are samples of the posterior of the coarse runs; a larger assumed error only makes this posterior wider."""
 SETTLED_ERROR_RATIO = 0.5
 """Largest ratio of the Gaussian-process emulator's standard error to the uncertainty of a target (a standard deviation)
-at which the emulator counts as accurate enough. The search ends when this holds for all targets and the posterior no
-longer shifts."""
+at which the emulator counts as accurate enough. The search ends when all targets fulfil this condition and the
+posterior no longer shifts."""
 SETTLED_SHIFT = 0.25
 """Shift of the posterior mean from one round to the next, in posterior standard deviations, below which the search may
 end."""
@@ -285,7 +285,8 @@ def _run_group(
 ) -> Study:  # fmt: skip
     """Run one scene with all parameter sets of a round as a separate study, or continue that study if it exists.
 
-    `place` is the index of the round, and `group` the index of the group of targets that belong to the scene.
+    `place` is the index of the round, and `group` the index of the group of targets that belong to the scene. `where`
+    holds the settings that decide on which devices or machines the runs take place.
     """
     target = calibration.task.groups[group][0]
     folder = calibration.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"

@@ -174,8 +174,8 @@ class CoarseRuns:
     doubtful: Mapping[Target, np.ndarray]
     """True for values from runs that failed checks, by target, shape (n,)."""
     coarsened: Collection[Target]
-    """Targets whose scene had wider cells in these runs. For all other targets, these runs are as accurate as full
-    runs."""
+    """Targets whose scene had wider cells in the coarse runs. For all other targets, coarse runs are as accurate as
+    full runs."""
 
 
 def posterior(

@@ -139,7 +139,7 @@ def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 
 
 def with_expected(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete] | None) -> LineFit:
-    """Return a fit whose attributes `expected` and `outside` compare it with the slip layer expected before.
+    """Return a fit whose attributes `expected` and `outside` compare it with the layer expected before the measurement.
 
     `concrete` has the expected slip layer. `prior` holds two concretes, whose layers are at the lower and at the upper
     end of the expected band.

@@ -185,7 +185,7 @@ class LineResult(LinePressures):
         return replace(self, stop=Stop(self.stop.rest, self.stop.highest)).restart(self.flow).high
 
     def _needed_pump(self) -> str:
-        """Return a sentence on the pressure that a pump must deliver to restart the line, for lines without a pump."""
+        """Return a sentence on the pressure that a pump must deliver to restart the line, if no pump is described."""
         assert self.stop is not None
         us, high = self.line.customary, self.restart(self.flow).high
         text = "to restart the line at full flow even at the upper end of its band, a pump must deliver "

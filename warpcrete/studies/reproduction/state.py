@@ -84,7 +84,7 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
 
 
 def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
-    """Return the mean peak pressure [Pa] for each value of a varied parameter, and a verdict in words.
+    """Return the mean peak pressure [Pa] for each value of a varied parameter, and the verdict as a text.
 
     The mean pressure is NaN for values without a result. The verdict states whether the runs confirm what Zhan et al.
     (2019) claim about the parameter; it is empty if no run has a result. `row` describes the varied parameter. `name`

@@ -37,8 +37,8 @@ class Advice:
     """Descriptions of recommended settings that cannot be used in this scene. If there are any, the error may be larger
     than `promised`."""
     outside: tuple[str, ...]
-    """Differences between this scene and the measured scene, in words. The error of a scene with these differences was
-    not measured, so it may be larger than `promised`."""
+    """Texts that describe the differences between this scene and the measured scene. The error of a scene with these
+    differences was not measured, so it may be larger than `promised`."""
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str

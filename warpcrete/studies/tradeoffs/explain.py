@@ -46,7 +46,7 @@ class Saving:
     ratio: float
     """Wall time with the simplification, divided by the wall time of the unchanged scene."""
     error: str
-    """Measured error that the simplification causes, in words, or a note that it was not measured."""
+    """Text with the measured error that the simplification causes, or a note that this error was not measured."""
 
 
 @dataclass(frozen=True)

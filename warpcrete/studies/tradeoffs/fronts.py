@@ -38,7 +38,7 @@ class Error:
 
     @property
     def within_scatter(self) -> bool:
-        """True if the error lies within its confidence interval, so that it may be due to the scatter between seeds."""
+        """True if the confidence interval of the error contains 0, so that scatter between seeds may explain it."""
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 

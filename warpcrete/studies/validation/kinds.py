@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of measurement: what is measured, in words, and its SI unit."""
+    """Kind of measurement: a label that says what is measured, the SI unit, and the required dimensions."""
 
     label: str
     unit: str

@@ -14,7 +14,7 @@ MAX_PART = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class BlockageSettings(Declared):
-    """Settings that decide when aggregates are taken to block the pump line; a blockage ends the run."""
+    """Settings that decide when aggregates count as a blockage of the pump line; a blockage ends the run."""
 
     common: ClassVar[tuple[str, ...]] = ()
 
@@ -67,7 +67,7 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
 
     @property
     def caption(self) -> str:
-        """Scene, diameter, mortar, aggregates and flow in words, for titles of figures and recordings."""
+        """Text with scene, diameter, mortar, aggregates and flow, for titles of figures and recordings."""
         return f"{super().caption}, {100 * self.aggregate_fraction:.3g} % of aggregates"
 
     def __repr__(self) -> str:

@@ -214,7 +214,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
 
     @property
     def caption(self) -> str:
-        """Scene, diameter and mortar in words, for titles of figures and recordings."""
+        """Text with scene, diameter and mortar, for titles of figures and recordings."""
         wide = "distance of the planes" if self.depth else "diameter"
         drive = f"{1e-3 * self.gradient:.3g} kPa/m" if self.mean_velocity is None else f"{self.mean_velocity:.3g} m/s"
         return (
