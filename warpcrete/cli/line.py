@@ -263,9 +263,9 @@ def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
 def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:
     """Return two concretes that bound the slip layer before it is fitted to pressures, or None.
 
-    Their slip layers are at the lower and at the upper end of the layer's uncertainty band. `layer` is the result of
-    :func:`_layer`. The result is None if the mix states the layer, because that layer may come from an earlier fit to
-    the same pressures.
+    The slip layers of the two concretes are at the lower and at the upper end of the layer's uncertainty band. `layer`
+    is the result of :func:`_layer`. The result is None if the mix states the layer, because that layer may come from an
+    earlier fit to the same pressures.
     """
     if given.mix is not None and given.mix.given.layer != Layer():
         return None

@@ -318,8 +318,8 @@ class _ShortenedCopy:
     def _springs_differ(self) -> bool:
         """True if the forecast can also estimate a stable step without dashpots.
 
-        This requires that at least one contact law has dashpots and that all laws are dataclasses, because only
-        dataclasses can be copied with damping ratios of 0.
+        For this estimate, it is necessary that at least one contact law has dashpots and that all laws are dataclasses,
+        because only dataclasses can be copied with damping ratios of 0.
         """
         laws = (self.scene.contact, *self.scene.contacts.values())
         return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)

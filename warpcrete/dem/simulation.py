@@ -51,7 +51,7 @@ class ElementRun(Run):
 
 
 class ElementSimulation(Simulation):
-    """Discrete element simulation; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Discrete element simulation; :class:`warpcrete.Simulation` explains the parameters and errors."""
 
     scene_type = Scene
     scene: Scene
@@ -291,8 +291,8 @@ class ElementSimulation(Simulation):
     def ended_early(self) -> bool:
         """Return whether the run may end before its planned duration.
 
-        This is the case if a test in a vessel is over. It is also the case if the pipe is blocked and the settings of
-        the scene end blocked runs.
+        A run may end early if a test in a vessel is over, or if the pipe is blocked and the settings of the scene end
+        blocked runs.
         """
         vessel, blockage = self.scene.vessel, self.scene.blockage
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:

@@ -151,7 +151,7 @@ def _is_straight(axis: Axis) -> bool:
 def _measured(
     fields: Fields, file: Path, scale: float, digest: str, length: float | None, ways: tuple[Way, ...]
 ) -> MeshBore:
-    """Find the axis of a mesh file and measure its bore; the arguments are those of :func:`bore_of`.
+    """Find the axis of a mesh file and measure its bore; :func:`bore_of` explains the arguments.
 
     Results are cached. The `digest` of the file's content is part of the cache key, so that a changed file of the same
     name is read again.

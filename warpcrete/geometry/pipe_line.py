@@ -100,8 +100,8 @@ class Part:
     def loss_key(self) -> tuple[Any, ...]:
         """Key under which the simulated friction of the part is stored.
 
-        Parts with equal keys have the same friction. For straight pipes, hoses and valves, this holds for the friction
-        divided by the length and by `relative_loss`.
+        Bends, reducers and bores with equal keys have the same friction. Straight pipes, hoses and valves with equal
+        keys have the same friction divided by the length and by `relative_loss`.
         """
         if self.is_by_length:
             return ("straight", self.diameter, self.layer)

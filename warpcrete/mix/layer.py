@@ -25,10 +25,11 @@ same recipe. Deliveries differ by 15 % on a single site (Mai et al. 2014), and b
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the powder's densest packing.
 
-They were chosen with frictions in level pump lines of 325 to 1,044 m for concretes of nine families (water-binder
-ratios of 0.17 to 0.44), which a published statistical model of pumped concretes gives. Other families were reserved for
-tests. The predicted frictions differ from these values by a factor of 1.33 (root mean square). The best fit, about 150
-Pa s/m and 0.95, would reduce this factor only to 1.31; many pairs of constants fit almost equally well.
+The constants were chosen with frictions in level pump lines of 325 to 1,044 m for concretes of nine families
+(water-binder ratios of 0.17 to 0.44), which a published statistical model of pumped concretes gives. Other families
+were reserved for tests. The predicted frictions differ from these values by a factor of 1.33 (root mean square). The
+best fit, about 150 Pa s/m and 0.95, would reduce this factor only to 1.31; many pairs of constants fit almost equally
+well.
 """
 PASTE_ERROR_FACTOR = 1.7
 """Factor by which the true viscosity of a slip layer may be smaller or larger than the result of :func:`paste_layer`.
@@ -94,10 +95,10 @@ def aggregate_factor(aggregate: float) -> float:
 def slump_layer(slump: float) -> tuple[float, float]:
     """Return the viscosity [Pa s/m] and the yield stress [Pa] of the slip layer from the `slump` [m].
 
-    They follow from the Chinese rule JGJ/T 10, which goes back to Morinaga (1973). For a pipe of radius r and the
-    velocity v, the pressure loss by this rule is 2 / r (K1 + 1.3 K2 v) 0.9. Here K1 = 300 - slump [Pa] and K2 = 400 -
-    slump [Pa s/m], with the slump in millimetres. The yield stress of the layer is therefore 0.9 K1, and its viscosity
-    is 0.9 times 1.3 K2.
+    Both constants follow from the Chinese rule JGJ/T 10, which goes back to Morinaga (1973). For a pipe of radius r and
+    the velocity v, the pressure loss by this rule is 2 / r (K1 + 1.3 K2 v) 0.9. Here K1 = 300 - slump [Pa] and K2 = 400
+    - slump [Pa s/m], with the slump in millimetres. The yield stress of the layer is therefore 0.9 K1, and its
+    viscosity is 0.9 times 1.3 K2.
     """
     return 0.9 * 1.3 * (400 - 1e3 * slump), 0.9 * max(300 - 1e3 * slump, 0.0)
 

@@ -170,7 +170,7 @@ class Mix:
     def flow(self) -> dict[str, float]:
         """Constants for the section `flow` of a concrete's file, such as the yield stress.
 
-        They are not yet multiplied by the factors for another age or temperature of the concrete.
+        The constants are not yet multiplied by the factors for another age or temperature of the concrete.
         """
         return {key: self[name].value for key, name in self._constants.items()}
 

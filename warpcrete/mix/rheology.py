@@ -50,10 +50,10 @@ the largest slump of a cone.
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
 """Pairs of intrinsic viscosity and densest packing (as a volume fraction) of aggregate.
 
-They give the highest and the lowest estimate of the factor by which aggregate thickens mortar. The first pair is for
-rough grains. Its packing is the random loose packing of equal spheres (Mahaut et al. 2008). Its intrinsic viscosity is
-assumed to be 30 % above the value for spheres; Barnes, Hutton & Walters (1989) are said to give this value for ground
-gypsum, but their book was not checked. The second pair is for spheres of mixed sizes.
+The two pairs give the highest and the lowest estimate of the factor by which aggregate thickens mortar. The first pair
+is for rough grains. Its packing is the random loose packing of equal spheres (Mahaut et al. 2008). Its intrinsic
+viscosity is assumed to be 30 % above the value for spheres; Barnes, Hutton & Walters (1989) are said to give this value
+for ground gypsum, but their book was not checked. The second pair is for spheres of mixed sizes.
 """
 T500_ERROR_FACTOR = 1.3
 """Factor by which the true viscosity may be smaller or larger than that from the relation for T500. Simulations show

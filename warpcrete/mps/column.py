@@ -121,8 +121,8 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
     def implied(cls, values: Mapping[str, object]) -> Mapping[str, Any]:
         """Return the values that these parameters take from the file of the concrete, by name.
 
-        They are the flow constants and, for a flow with two phases, the parameters of the aggregate. A run's record
-        keeps these values, so that the run can be repeated even if the file changes later.
+        The result contains the flow constants and, for a flow with two phases, the parameters of the aggregate. A run's
+        record keeps these values, so that the run can be repeated even if the file changes later.
         """
         return merged(file_constants(values), file_aggregates(values))
 

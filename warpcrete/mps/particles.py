@@ -262,8 +262,8 @@ class MovingParticles(Stepping):
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays on which the next step depends.
 
-        They include the positions at which the neighbour lists were last built. A restored flow rebuilds the lists from
-        these positions, so their order and the bits of all sums are the same.
+        The arrays include the positions at which the neighbour lists were last built. A restored flow rebuilds the
+        lists from these positions, so their order and the bits of all sums are the same.
         """
         lists = {"built": host_copy(self.fields.position_at_build), "late": host_copy(self.fields.event_flags)}
         return self.state.state_dict() | lists

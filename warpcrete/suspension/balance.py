@@ -278,7 +278,8 @@ class _Step:
     def _pressures(self) -> float:
         """Return the component along the last axis of the pressure forces of walls [N].
 
-        It is the sum of all pressure forces on mortar and aggregates, in which pressures within the concrete cancel.
+        The result is the sum of all pressure forces on mortar and aggregates, in which pressures within the concrete
+        cancel.
         """
         coupled = self.flow.coupled
         coupled.pressure_forces()
@@ -343,7 +344,7 @@ class _Step:
         viscous = float(np.sum(total * viscosity / np.where(plain > 0, plain, 1.0)))
         sum_all = float(np.sum(total))
         # The viscous stress of a cell acts on two opposite faces. The forces on both cancel, unless one belongs to a
-        # wall. The same holds for the shear stress of an edge.
+        # wall. The forces of the shear stress of an edge cancel in the same way.
         free = self.unknown[2].astype(float)
         stress = np.where(liquid, 2 * volume * fill * room * cut * rates[2] / width[2], 0.0)
         by_walls = float(np.sum(stress * (free - grid.next(free, 2))))

@@ -118,9 +118,9 @@ class AggregateRun(FlowRun):
         With a sieve curve, also return the stated fraction and the smallest simulated size. Smaller aggregates count as
         mortar. If only a half or a quarter is simulated, `count` is the number in this part, and `count_whole` includes
         the mirror images. The result also contains them as `aggregate_count` and `aggregate_count_whole`. The balance
-        of momentum is that of the last time step, along the last axis of the grid. It is missing if the last step is
-        incomplete, or if the program has taken no step since it started. Its error is larger if aggregates enter at a
-        given speed.
+        of momentum belongs to the last time step and to the last axis of the grid. The balance is missing if the last
+        step is incomplete, or if the program has taken no step since it started. Its error is larger if aggregates
+        enter at a given speed.
         """
         count = self.flow.aggregates.count
         whole = count * self.drawn_by(self).copies

@@ -245,8 +245,8 @@ class AggregateParameters(Declared):
     def with_mortar(self, scene: S) -> S:
         """Return the scene with the constants of its mortar, if the stated constants describe the concrete.
 
-        They follow from the volume fraction of the simulated aggregates, see :func:`mortar_of`. Raises
-        :class:`SceneError` if the stated density is too small for a concrete with these aggregates.
+        The constants of the mortar follow from the volume fraction of the simulated aggregates (:func:`mortar_of`).
+        Raises :class:`SceneError` if the stated density is too small for a concrete with these aggregates.
         """
         if self.constants_of == "mortar":
             return scene

@@ -203,8 +203,8 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
 def duct_constants(aspect: float) -> tuple[float, float]:
     """Return the constants a and b of a rectangular duct in the formula of Kozicki, Chou & Tiu (1966).
 
-    They depend on the shape only; :func:`duct_stress` states the formula. `aspect` is the short side divided by the
-    long side, 0 to 1. Values between the tabulated ratios are interpolated. A slot, the gap between two parallel
+    The constants depend only on the shape; :func:`duct_stress` states the formula. `aspect` is the short side divided
+    by the long side, 0 to 1. Values between the tabulated ratios are interpolated. A slot, the gap between two parallel
     plates, has a = 1/2 and b = 1.
     """
     ratio = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)

@@ -19,7 +19,7 @@ HEAVY = 1e15
 def stiffnesses(bonds: Bonds) -> tuple[float, float, float, float]:
     """Return the stiffnesses of a bond between two spheres (Zhan et al. 2019, Eq. 10).
 
-    They are the normal and shear stiffness [N/m] and the bending and torsional stiffness [N m].
+    The result contains the normal and shear stiffness [N/m] and the bending and torsional stiffness [N m].
     """
     normal = bonds.effective_modulus / LENGTH * math.pi * RADIUS**2
     bending = normal * RADIUS**2 / 4

@@ -80,7 +80,7 @@ def _duration(law: HertzMindlin, radius: float, density: float, speed: float) ->
 def elastic(device, precision) -> list[Row]:
     """Compare peak force, peak overlap and duration of elastic normal impacts with published values.
 
-    These are tests 1 and 2 of Chung & Ooi (2011).
+    The comparison covers tests 1 and 2 of Chung & Ooi (2011).
     """
     rows = []
     glass = HertzMindlin.of(48e9, 0.2, friction=0.35, restitution=1.0)
@@ -139,7 +139,7 @@ def _peak(law, radius, density, speed, plane, device, precision):
 def restitution(device, precision) -> list[Row]:
     """Compare the ratio of rebound speed to impact speed with the given restitution coefficient.
 
-    This is test 3 of Chung & Ooi (2011), with the Hertz-Mindlin law and with the linear law.
+    The comparison is test 3 of Chung & Ooi (2011), with the Hertz-Mindlin law and with the linear law.
     """
     rows = []
     coefficients = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])

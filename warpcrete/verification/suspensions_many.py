@@ -205,7 +205,7 @@ def settling_together(
     """Return the velocities of four spheres that sink from rest [m/s], shape (steps, 4, 3).
 
     `number` is the viscous number dt mu / (rho h^2) of a time step dt, with the viscosity mu and the density rho of the
-    mortar and the width h of a cell. `tolerances` are those of the coupled solve.
+    mortar and the width h of a cell. `tolerances` are the tolerances of the coupled solve.
     """
     width = RADIUS / 2
     centres = RADIUS * np.array([[-1.3, -1.1, -1.4], [1.2, -1.0, -0.9], [-0.9, 1.3, 0.8], [1.1, 1.2, 1.7]])

@@ -35,7 +35,7 @@ def parallel(device: wp.Device) -> bool:
 def divide_work_like_gpu() -> Generator[None]:
     """Make the CPU divide work as a GPU does, as far as the CPU can, inside the `with` block.
 
-    This is slow. It lets tests run the GPU's code paths on a machine without a GPU.
+    In this way, tests can run the GPU's code on a machine without a GPU, but slowly.
     """
     global _every_device_parallel
     before, blocks = _every_device_parallel, wp.config.enable_cpu_blocks

@@ -74,8 +74,8 @@ def new_figure(caption: str = "", *heights: float) -> Any:
 def legend_above(axes: Any, curves: Sequence[Any] | None = None, width: float = 1.0, **settings: Any) -> None:
     """Put the legend above a plot, between the plot and its title.
 
-    Its entries are the `curves` in their order. Without `curves`, the entries are all curves that have a label, sorted
-    by the last value of each curve. `width` is the width of the plot relative to the width of the figure.
+    The entries of the legend are the `curves` in their order. Without `curves`, the entries are all curves that have a
+    label, sorted by the last value of each curve. `width` is the width of the plot relative to the width of the figure.
     """
     handles, labels = axes.get_legend_handles_labels()
     order: Sequence[int] = sorted(range(len(handles)), key=lambda k: -_end(handles[k]))

@@ -169,8 +169,8 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, fields: Mapping[str, np.nd
 class _Net:
     """Surface net (Gibson, MICCAI 1998) of a level-set function in two or three dimensions.
 
-    It consists of vertices (`points`) and of faces between them (`sides`). In two dimensions, the faces are line
-    segments.
+    A surface net consists of vertices (`points`) and of faces between them (`sides`). In two dimensions, the faces are
+    line segments.
     """
 
     points: np.ndarray

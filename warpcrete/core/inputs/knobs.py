@@ -75,9 +75,9 @@ def precisions() -> Knob:
 class Trading:
     """Description of a scene for studies that weigh accuracy against computing time.
 
-    It contains the knobs (accuracy parameters with their settings), the quantities to compare, and a function that
-    returns whether the scene has an exact closed-form solution. The module of the scene assigns this object to the name
-    `trading`.
+    The description contains the knobs (accuracy parameters with their settings), the quantities to compare, and a
+    function that returns whether the scene has an exact closed-form solution. The module of the scene assigns this
+    object to the name `trading`.
     """
 
     knobs: Callable[[Any], Iterator[Knob]]

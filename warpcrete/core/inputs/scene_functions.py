@@ -165,7 +165,8 @@ class SceneFunction(Generic[P, S]):
     def fields(self, given: Mapping[str, object]) -> dict[str, Field]:
         """Return all parameters that this scene function accepts, by name.
 
-        They are the declared fields of the scene, and the fields of objects in `given`, for example of a contact law.
+        The result contains the declared fields of the scene, and the fields of objects in `given`, for example of a
+        contact law.
         """
         known = dict(declared_fields(self.parameters))
         for name, field in list(known.items()):

@@ -16,7 +16,7 @@ process when the parent process ends."""
 def killed_with_parent(command: list[str]) -> list[str]:
     """Return a command line that runs `command`, and whose process the system kills when this process ends.
 
-    This works only on Linux. On other systems, return `command` unchanged.
+    Only Linux can kill the process in this way. On other systems, return `command` unchanged.
     """
     if sys.platform != "linux":
         return command

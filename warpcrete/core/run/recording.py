@@ -94,8 +94,8 @@ class Recording:
     def mark_incomplete(self) -> None:
         """Write the results again, now with the entry that the run is not complete.
 
-        This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from. Recorders
-        that are `expendable` write no results.
+        The results must be written again if a recorder failed at the end of a run that has no checkpoint to continue
+        from. Recorders that are `expendable` write no results.
         """
         for recorder in self.active:
             if not recorder.expendable:

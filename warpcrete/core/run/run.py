@@ -120,7 +120,7 @@ class Run:
     def ended(self) -> Ending | None:
         """Reason why the run ended, with a sentence about it and the simulated time [s].
 
-        It is None for a saved run that was killed, or that an earlier version computed.
+        The value is None for a saved run that was killed, or that an earlier version computed.
         """
         return Ending.of(self.result)
 

@@ -15,7 +15,7 @@ from .stages import step_stages
 def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
     """Compile all kernels that a run will launch, or load them from the cache.
 
-    These are the kernels for time steps, neighbour lists, stable step estimates, measurements and bonds.
+    A run launches kernels for time steps, neighbour lists, stable step estimates, measurements and bonds.
     """
     batch = lists.batch
     if batch.sphere_count:

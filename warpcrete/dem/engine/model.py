@@ -26,7 +26,7 @@ from .rest import bonds_after_rest, has_layer
 class Features:
     """Features that a scene needs, such as bonds or clumps.
 
-    They determine which kernels a time step launches and how they are compiled.
+    The features determine which kernels a time step launches and how these kernels are compiled.
     """
 
     pair_law: type[ContactLaw]

@@ -52,11 +52,11 @@ MOST_KEPT = 64
 class NeighborLists:
     """Builder of the neighbour lists of all scenes of a batch whose lists are stale.
 
-    It also builds the lists of mesh candidates, which are the triangles near each sphere. A neighbour list contains all
-    pairs of spheres whose gap is less than a margin, the skin [m]. The list stays complete until a sphere has moved by
-    half the skin relative to the scene as a whole. The scene as a whole is assumed to move at the mean velocity that
-    its spheres had when the list was built. A list of mesh candidates stays complete until a sphere has moved by the
-    mesh skin [m] relative to the mesh.
+    The builder also makes the lists of mesh candidates, which are the triangles near each sphere. A neighbour list
+    contains all pairs of spheres whose gap is less than a margin, the skin [m]. The list stays complete until a sphere
+    has moved by half the skin relative to the scene as a whole. The scene as a whole is assumed to move at the mean
+    velocity that its spheres had when the list was built. A list of mesh candidates stays complete until a sphere has
+    moved by the mesh skin [m] relative to the mesh.
     """
 
     def __init__(self, batch: Batch) -> None:

@@ -158,7 +158,8 @@ class StableStep:
 def expected_speed(scene: Scene, horizon: float) -> float:
     """Return an upper estimate of the speeds of walls and bodies [m/s] during the next `horizon` [s].
 
-    It is the largest prescribed speed of a wall, plus the speed that gravity or the force on a driven wall can add.
+    The estimate is the largest prescribed speed of a wall, plus the speed that gravity or the force on a driven wall
+    can add.
     """
     gained = [float(np.linalg.norm(scene.gravity))]
     gained += [abs(w.motion.force) / w.motion.mass for w in scene.walls if isinstance(w.motion, Driven)]

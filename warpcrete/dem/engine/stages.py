@@ -27,7 +27,7 @@ several threads share a sphere, so that they keep the GPU busy."""
 NEAR_LINK_INTERVAL = 20
 """Number of steps between two selections of the near links, which are the pairs of spheres that may touch soon.
 
-It equals the default number of steps between two estimates of the stable step.
+This number equals the default number of steps between two estimates of the stable step.
 """
 NEAR_MARGIN = 0.25
 """Largest gap between a sphere and a triangle that is listed as a near candidate, divided by the skin of the lists.

@@ -22,7 +22,7 @@ Checkpoints need not store these arrays.
 def state_dict(state: State) -> SavedState:
     """Return all data of a state that the next step depends on.
 
-    They are the arrays by struct and name, the control flags, and the attributes listed in NUMBERS.
+    The data are the arrays by struct and name, the control flags, and the attributes listed in NUMBERS.
     """
     numbers = {name: getattr(state, name) for name in NUMBERS}
     stored: SavedState = {"numbers": numbers, "flags": host_copy(state.flags)}

@@ -56,7 +56,7 @@ def rounds_for(ratio: float) -> int:
 
     `ratio` is the time step divided by the stable step of the stiff bonds without damping. The dashpots of stiff bonds
     have a relaxation time of `RELAXATION` times the time step. With this damping, n rounds are stable if n^2 >= ratio^2
-    (1 + RELAXATION n). The result is the smallest whole number n for which this holds.
+    (1 + RELAXATION n). The result is the smallest whole number n that fulfils this inequality.
     """
     damped = 0.5 * RELAXATION * ratio * ratio
     return max(1, math.ceil(damped + math.hypot(damped, ratio)))
@@ -141,7 +141,7 @@ class Subcycles:
     def _values(self, s: int) -> dict[str, np.ndarray]:
         """Return the checkpoint data of the sub-cycled (stiff) bonds of scene `s`, by array name.
 
-        They are the permanent numbers of both spheres of each bonded pair, and the arrays named in OF_BODIES and
+        The data are the permanent numbers of both spheres of each bonded pair, and the arrays named in OF_BODIES and
         OF_ENDS.
         """
         if not self._by_scene[s]:

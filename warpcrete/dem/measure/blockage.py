@@ -48,7 +48,7 @@ QUADRATURE = 24
 class BlockageWatch:
     """Detector of blockages: at intervals of piston travel, it compares the motion of the concrete with the piston's.
 
-    It records the first blockage of the pipe.
+    The detector records the first blockage of the pipe.
     """
 
     def __init__(self, model: Model, state: State) -> None:

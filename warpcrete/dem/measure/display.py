@@ -42,7 +42,7 @@ WEAR_PALETTE = "magma_r"
 HEAP = {"spread": "spread", "top": "highest point"}
 """Columns of the time series that show the shape of a heap, with their labels in plots.
 
-They are plotted for standard tests that do not choose other columns.
+These columns are plotted for standard tests that do not choose other columns.
 """
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99

@@ -99,8 +99,8 @@ class Known:
     def window(self) -> np.ndarray:
         """Mask of the samples whose mean pressure is the final pressure, shape (samples,).
 
-        They form the final window, the last fraction WINDOW of the piston's travel. If the piston stops between
-        strokes, the window is the last fraction WINDOW of the travel in the last stroke.
+        These samples form the final window, the last fraction WINDOW of the piston's travel. If the piston stops
+        between strokes, the window is the last fraction WINDOW of the travel in the last stroke.
         """
         return self.series["travel"] >= self.window_begin
 

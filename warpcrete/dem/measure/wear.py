@@ -25,7 +25,8 @@ MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
 """Names of the wear quantities, which are recorded for each patch, and in the time series for each wall as a whole.
 
-They are the work of sliding [J], the energy lost in impacts [J], and normal force times sliding distance [N m].
+The quantities are the work of sliding [J], the energy lost in impacts [J], and normal force times sliding distance [N
+m].
 """
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
@@ -210,7 +211,7 @@ class WornWall:
     def depth(self) -> np.ndarray:
         """Worn depth of each patch [m], shape (patches,).
 
-        It is `coefficient` times the sum of normal force times sliding distance, divided by the patch's area.
+        The depth is `coefficient` times the sum of normal force times sliding distance, divided by the patch's area.
         """
         return self.coefficient * self.done[:, 2] / self.patches.areas
 

@@ -31,7 +31,7 @@ class WornRun(Protocol):
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
     """Return a function that takes the data of a run and evaluates the function `of` for the run's most worn wall.
 
-    Its result is None if the run measured no wear.
+    The result of the returned function is None if the run measured no wear.
     """
 
     def found(known: Any) -> float | None:

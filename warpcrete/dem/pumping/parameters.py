@@ -41,7 +41,7 @@ aggregate the ratio is 1/3."""
 class ConcreteDefaults:
     """Mixin for scene parameters with a named concrete, which supplies defaults for other parameters.
 
-    It also turns paths of mesh files in `shapes` into absolute paths.
+    The mixin also turns paths of mesh files in `shapes` into absolute paths.
     """
 
     @classmethod
@@ -131,8 +131,8 @@ class PipeParameters(
     def distance(self) -> float:
         """Travel of the piston in the whole run [m].
 
-        It is the parameter `travel`, or otherwise the sum of all strokes of the length `stroke`. If neither is given,
-        it is
+        The travel is the parameter `travel`, or otherwise the sum of all strokes of the length `stroke`. If neither is
+        given, it is
 
         - the length of the arc in a bend,
         - three ramps per stroke in a straight pipe, if the piston stops between strokes and has a ramp,

@@ -240,7 +240,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     def is_gripped(self) -> bool:
         """True if the resistance of walls to sliding can be scaled, relative to the resistance between grains.
 
-        This requires that the contact law has parameters for friction, yield stress or viscosity.
+        Only contact laws with parameters for friction, yield stress or viscosity can be scaled.
         """
         law = self.grain_law()
         return law.gripped(0.5) != law

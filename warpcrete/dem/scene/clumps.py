@@ -106,7 +106,8 @@ def union_properties(
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
     # The integrals are sums over prisms along z with a rectangular cross-section. The mean of x^2 over a prism is the
-    # square of its middle plus steps[0]^2/12, because the prism is steps[0] wide. The same holds for y and steps[1].
+    # square of its middle plus steps[0]^2/12, because the prism is steps[0] wide. The mean of y^2 follows in the same
+    # way from steps[1].
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()

@@ -203,9 +203,9 @@ def file_constants(values: Mapping[str, object]) -> dict[str, float]:
 def file_aggregates(values: Mapping[str, object]) -> dict[str, float]:
     """Return the aggregate's parameters from the concrete file that a scene's parameters name.
 
-    These are the volume fraction and density of the coarse aggregate, and the constants of the mortar. The result is
-    empty unless the scene has two phases, the file describes a mix, and the scene leaves out at least one of these
-    values.
+    The parameters are the volume fraction and density of the coarse aggregate, and the constants of the mortar. The
+    result is empty unless the scene has two phases, the file describes a mix, and the scene leaves out at least one of
+    these values.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name

@@ -80,7 +80,7 @@ def _hose(length: float, lengths: tuple[float, float]) -> float:
 def _row(rule: str, parts: Sequence[Part], loss: Callable[[Part], float], implies: str, source: str) -> PracticeRow:
     """Add up the losses of all parts of a pump line by a rule of practice.
 
-    `loss` returns the pressure loss of a part by the rule [Pa]. The other arguments are those of :class:`PracticeRow`.
+    `loss` returns the pressure loss of a part by the rule [Pa]. :class:`PracticeRow` explains the other arguments.
     """
     by_kind: dict[str, float] = {}
     losses = [loss(part) for part in parts]
@@ -167,8 +167,8 @@ def practice_rows(
 def _as_straight(kinds: Collection[str], others: Sequence[str]) -> str:
     """Return a remark that names the kinds of parts in a line that a rule of practice treats as straight pipe.
 
-    These are the kinds that the rule does not cover (`others`). `kinds` are the kinds of the line's parts, without
-    parts whose friction the line's file states. The remark is empty if no such kind occurs.
+    `others` are the kinds that the rule does not cover. `kinds` are the kinds of the line's parts, without parts whose
+    friction the line's file states. The remark is empty if no such kind occurs.
     """
     names = [GROUPS[kind] for kind in others if kind in kinds]
     return f"; {' and '.join(names)} count as straight pipe, because the rule does not cover them" if names else ""

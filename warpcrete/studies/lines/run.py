@@ -26,9 +26,9 @@ from .theory_line import LAYER_FACTOR, check_settings, line_by_theory, write_res
 
 CELLS = 12
 """Default number of cells across the narrowest bore of a bend or reducer. In front of and behind bends of 125 mm and a
-radius of 0.5 m, the friction of straight pipe deviates from theory by -0.5 to 1.4 % with 12 cells. This holds for the
-concrete no1, and for concretes with yield stresses of 310 and 600 Pa and a wall stress of 400 Pa. With 8 cells, the
-friction deviates by 2.2 to 3.1 %."""
+radius of 0.5 m, the friction of straight pipe deviates from theory by -0.5 to 1.4 % with 12 cells. These figures are
+for the concrete no1, and for concretes with yield stresses of 310 and 600 Pa and a wall stress of 400 Pa. With 8 cells,
+the friction deviates by 2.2 to 3.1 %."""
 TUBE_CELLS = 20
 """Number of cells across the bore of a simulated straight pipe. It is larger than in bends and reducers because a
 periodic pipe is short and cheap to simulate."""

@@ -235,8 +235,8 @@ def _row(reproduction: Reproduction, row: Row) -> Iterator[str]:
 def _verdict(errors: list[float], count: int) -> str:
     """Return a sentence that says whether the simulated pressures agree with the closed form.
 
-    They agree if every relative error in `errors` is below 3 %. If runs are missing, so that there are fewer than
-    `count` errors, the pressures are not judged.
+    The pressures agree if every relative error in `errors` is below 3 %. If runs are missing, so that there are fewer
+    than `count` errors, the pressures are not judged.
     """
     if len(errors) < count:
         return f"Not judged: {count - len(errors)} of {count} runs are missing."

@@ -134,7 +134,7 @@ def _frames(simulation: SimulationBase) -> dict[str, float]:
 def _cached(scene: Any, device: wp.Device, threads: int) -> Path:
     """Return the path of the cache file for the forecast of a scene.
 
-    Its name depends on the scene, the versions of the software, the device, and the number of threads.
+    The name of the file depends on the scene, the versions of the software, the device, and the number of threads.
     """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     version = provenance(device, "float32", 0)
@@ -231,8 +231,8 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
 def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str, Any], str]:
     """Return a trade-off record for a scene, and a description of its source; both are empty if there is no record.
 
-    The record is that of the folder `trade`, or by default the most similar one that is shipped with the package.
-    `on_gpu` is True if the scene runs on a GPU, because a record from a GPU is then preferred.
+    The record comes from the folder `trade`. By default, it is the most similar record that is shipped with the
+    package. `on_gpu` is True if the scene runs on a GPU, because a record from a GPU is then preferred.
     """
     module = modules().get(scene.name)
     if trade is not None:

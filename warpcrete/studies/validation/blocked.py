@@ -30,7 +30,8 @@ class BlockingComparison:
     def agrees(self) -> bool:
         """True if the rules against blocking agree with the observation.
 
-        This is the case if a rule warns and the concrete blocked, or if no rule warns and the concrete passed.
+        Rules and observation agree if a rule warns and the concrete blocked, or if no rule warns and the concrete
+        passed.
         """
         return (self.verdict in BAD) == self.blocked
 

@@ -129,7 +129,7 @@ def _slump(case: Case) -> list[Band]:
     slump of a homogeneous heap. In a real heap, aggregate piles up in the centre, which reduces the slump by 30 mm in
     the median and by up to 100 mm (:data:`HEAP_CENTRE`). For the prediction, 30 mm are therefore subtracted from the
     slump of the homogeneous heap, and for the lower end of the band, 100 mm from the lower end of its band. The upper
-    end of the band is that of the homogeneous heap.
+    end of the band is the upper end for the homogeneous heap.
     """
     mix = mix_of_case(case)
 

@@ -13,9 +13,10 @@ line and overlap further than this, the inflow pushes them into each other, and 
 def is_blocked(scene: PartSuspensionScene, rows: list[dict[str, float]]) -> bool:
     """Return whether a part of a pump line counts as blocked at the end of a time series.
 
-    It is blocked if the frictional pressure at its start has exceeded the scene's limit in two successive rows. It is
-    also blocked if some of the aggregates have stood still while the pressure rose, and one of two conditions holds:
-    meanwhile the inflow has advanced by the scene's `standing_travel`, or overlaps exceed BLOCKED_OVERLAP at the end.
+    The part is blocked if the frictional pressure at its start has exceeded the scene's limit in two successive rows.
+    It is also blocked if some of the aggregates have stood still while the pressure rose, and one of two conditions
+    holds: meanwhile the inflow has advanced by the scene's `standing_travel`, or overlaps exceed BLOCKED_OVERLAP at the
+    end.
     """
     weight = scene.density * scene.gravity * scene.rise
     if len(rows) > 2 and all(row["pressure"] - weight > scene.pressure_limit for row in rows[-2:]):

@@ -145,7 +145,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     def ways(self) -> int:
         """Constant c in the balance of forces, pressure gradient times radius = c times wall stress.
 
-        It is 2 in a round pipe, and 1 between two planes.
+        The constant is 2 in a round pipe, and 1 between two planes.
         """
         return 1 if self.depth else 2
 
