@@ -250,8 +250,8 @@ def test_the_command_fits_a_trial_line(tmp_path):
     assert pressure == pytest.approx(record["pressure"]["value"], rel=2e-3)
     assert pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 25 / 3600).pressure, rel=0.02)
     for more, says in (
-        (["--simulate"], "is fitted with theory, not with simulations"),
-        (["--method", "dem"], "is fitted with theory, not with simulations"),
+        (["--simulate"], "fitted with theory only, not with simulations"),
+        (["--method", "dem"], "fitted with theory only, not with simulations"),
     ):
         refused = CliRunner().invoke(cli, [*call, *more])
         assert refused.exit_code == 2 and says in refused.output

@@ -204,8 +204,8 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
         )
     if settings["fit"] is not None and heavy:
         raise click.UsageError(
-            f"{_stated('fit', settings)}: is fitted with theory, not with simulations; leave out --simulate and "
-            "--method"
+            f"{_stated('fit', settings)}: holds pressures that are fitted with theory only, not with simulations; "
+            "leave out --simulate and --method"
         )
 
     def changed(options: Mapping[str, object]) -> list[str]:

@@ -70,8 +70,8 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
     contents: dict[str, object] = {"name": mix.name, "source": source}
     if mix.concrete.layer_law.name == BINGHAM or {"layer_yield", "layer_viscosity"} <= set(mix.elements):
         with warnings.catch_warnings():
-            # Ignore warnings: those about the mix were shown when the mix was read, and a remark in the output already
-            # says that the sieve curve is missing.
+            # Ignore warnings: the warnings about the mix were shown when the mix was read, and a remark in the output
+            # already says that the sieve curve is missing.
             warnings.simplefilter("ignore", PlausibilityWarning)
             contents["elements"] = dict(PipeParameters.implied({"concrete": name}))
     return contents | {"flow": {key: getattr(mix.concrete, key) for key in mix.flow}}

@@ -124,7 +124,8 @@ def report(study: Study) -> None:
         click.echo(f"note: {SIZES}")
     met = {name for result in study.results.values() for name in result}
     for each in study.quantities:
-        # If no case has a value, only a condition that names another result shows that a value was possible.
+        # If no case has a value of this quantity, a value was possible only if its condition names a result of the
+        # study.
         possible = each.name in met or any(f"'{other}'" in each.only_if for other in met)
         if each.only_if and possible and any(each.name not in result for result in study.results.values()):
             click.echo(f"note: a case has a value of {each.title} only if {each.only_if}")

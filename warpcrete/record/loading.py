@@ -54,9 +54,9 @@ def load(folder: Path | str) -> Run:
 
     Data that exists only during a simulation, such as the table of final `bodies`, is missing. The message of the error
     that `run.bodies` raises names the recordings in the folder that hold the positions of bodies. A killed run may have
-    no result, and a run without samples has an empty series. The scene function builds the scene again. This is
-    impossible if the scene was modified or built in Python, or if a file that it read is missing or has changed. The
-    returned scene then has only its name, which is also its caption, and its parameters. Raises
+    no result, and a run without samples has an empty series. The scene function builds the scene again. The scene
+    cannot be built again if it was modified or built in Python, or if a file that it read is missing or has changed.
+    The returned scene then has only its name, which is also its caption, and its parameters. Raises
     :class:`RunFolderError` if the folder is not a run folder of this version.
     """
     folder = Path(folder)

@@ -224,7 +224,7 @@ def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
         if name == "files":
             before, after = old or {}, new or {}
             changed = [file for file in dict.fromkeys([*before, *after]) if before.get(file) != after.get(file)]
-            if not changed:  # One record has no entry for files, and the other has an empty one.
+            if not changed:  # A missing entry for files means the same as an empty one.
                 continue
             return f"its file '{changed[0]}' differs"
         if not isinstance(old, dict) or not isinstance(new, dict):

@@ -30,8 +30,8 @@ class UsdRecorder(Recorder):
     """Recorder that writes scene.usdc, in metres with Z up, at checkpoints and at the end of a run.
 
     The file is also written when a run is interrupted. If `velocities` is true, the file also contains the velocities
-    of rigid bodies, which renderers need for motion blur. This makes the file one and a half times as large. The file
-    always contains the velocities of stones in mortar.
+    of rigid bodies, which renderers need for motion blur. These velocities make the file one and a half times as large.
+    The file always contains the velocities of stones in mortar.
     """
 
     expendable = True

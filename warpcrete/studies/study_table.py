@@ -34,7 +34,7 @@ def _row(study: Any, case: Any) -> tuple[dict[str, Any], dict[str, str]]:
     row: dict[str, Any] = {"case": case.name, "outcome": outcome, "seed": case.parameters.get("seed"), **case.varied}
     units: dict[str, str] = {}
     for name, entry in result.items():
-        if name in row:  # A varied parameter and a result may have the same name. The column shows the parameter.
+        if name in row:  # If a result has the name of a varied parameter, the column shows the parameter.
             continue
         if isinstance(entry, dict) and set(entry) == {"value", "unit"}:
             units[name] = entry["unit"]

@@ -37,7 +37,7 @@ def plot_with_aggregates(run: Run) -> Figure:
             offset_transform=shape.transData, facecolor=(*colour, 0.5), edgecolor=colour, linewidth=0.5,
         )
     )  # fmt: skip
-    # A legend has no symbol for a collection of circles, so that an empty curve supplies it.
+    # A legend has no symbol for a collection of circles, so an empty curve supplies the symbol.
     shape.plot([], [], "o", color=colour, label=f"{len(size)} simulated aggregates")
     legend_above(shape)
     return figure

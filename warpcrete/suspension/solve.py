@@ -56,9 +56,10 @@ VISCOUS, VISCOUS_WITH_YIELD, CHECKED = 0.5, 0.25, 7
 """Accuracy of the viscous solves of the preconditioner.
 
 A viscous solve stops when the norm of its residual has fallen to the fraction VISCOUS of the norm at its start, or to
-the fraction VISCOUS_WITH_YIELD if the mortar has a yield stress. This is checked after every CHECKED iterations only,
-so a solve makes at least CHECKED iterations: with fewer, the coupled solve would need more iterations than they save. A
-check also makes the host wait for the GPU. `notebooks/development/notes-suspension.md` gives times with other values.
+the fraction VISCOUS_WITH_YIELD if the mortar has a yield stress. The solve checks this condition only after every
+CHECKED iterations, so a solve makes at least CHECKED iterations: with fewer, the coupled solve would need more
+iterations than they save. A check also makes the host wait for the GPU. `notebooks/development/notes-suspension.md`
+gives times with other values.
 
 A mortar with a yield stress needs more exact viscous solves, because its viscosity differs by a factor of up to 1000
 from cell to cell. With VISCOUS, the first ten steps of a slump test needed 147 iterations of the coupled solve instead

@@ -51,8 +51,8 @@ causes, integrated over the depth. At height z, shear uses tau (1 - z / h) of th
 sqrt(tau^2 - shear^2), resists stretching. The mean of this part over the depth is (pi / 4) tau.
 
 In a plane the normal stresses are s and -s, which doubles this mean. About an axis, a heap that keeps its shape has the
-stress s along the radius and around it, and -2 s upwards, with 3 s^2 + shear^2 = tau^2. This multiplies the mean by
-sqrt(3).
+stress s along the radius and around it, and -2 s upwards, with 3 s^2 + shear^2 = tau^2. The mean is therefore
+multiplied by sqrt(3).
 """
 
 

@@ -3,8 +3,8 @@
 The spheres lie in a box. Along the first axis, the box ends at two walls that move in opposite directions along the
 third axis. Along the second axis, it ends at two planes of symmetry, and along the third axis it is periodic. Spheres
 cannot cross walls and planes of symmetry, so fewer of them lie there. All results therefore refer to the core of the
-box: the middle half along the first and second axis. They are the stress on the part of the walls beside the core, the
-shear rate in the core, and the volume fraction in the core.
+box: the middle half along the first and second axis. The results are the stress on the part of the walls beside the
+core, the shear rate in the core, and the volume fraction in the core.
 """
 
 from dataclasses import dataclass

@@ -10,9 +10,9 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
-"""Longest time [s] for which a thread that writes a run's output waits in one call of :func:`yield_to_run`. It waits
-until the run is itself waiting for the device and therefore leaves Python's interpreter free. After this time, the
-thread goes on even if the run is busy."""
+"""Longest time [s] for which a thread that writes a run's output waits in one call of :func:`yield_to_run`. The thread
+waits until the run is itself waiting for the device and therefore leaves Python's interpreter free. After this time,
+the thread goes on even if the run is busy."""
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0

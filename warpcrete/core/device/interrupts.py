@@ -123,7 +123,7 @@ def stop_if_requested() -> None:
     """Raise KeyboardInterrupt if Ctrl-C asked the simulations of a :class:`StopAtSample` to end.
 
     Work that may take long before the next sample calls this function now and then, such as compiling kernels and
-    placing aggregates. It does nothing while results are written, and in other threads than the main one.
+    placing aggregates. The function does nothing while results are written, and in other threads than the main one.
     """
     if _in_main_thread() and _contexts:
         context = _contexts[-1]

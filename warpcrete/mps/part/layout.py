@@ -70,8 +70,8 @@ def part_room(scene: PartScene) -> Room:
     if scene.is_half:
         low[1] = 0.0
     high[2] = 0.0
-    # Sines and cosines are rounded differently on different processors. A box that is a whole number of cells wide must
-    # not get one more cell on some processors.
+    # Allow for rounding errors, because sines and cosines are rounded differently on different processors: a box that
+    # is a whole number of cells wide must not get an additional cell on some of them.
     counts = np.ceil((high - low) / h - ROUNDING).astype(int)
     low[2] = -counts[2] * h
     front = MIRROR if scene.is_half else WALL

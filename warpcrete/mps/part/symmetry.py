@@ -50,7 +50,7 @@ def orientation(
     if heavy_aggregates and abs(axes[1, 2]) > LEVEL:
         if not straight or abs(turned[1, 2]) > LEVEL:
             return Orientation(axes, 0.0, "aggregates settle across the plane of the pipe's axis")
-        axes, straight = turned, False  # The other plane through the axis is not vertical.
+        axes, straight = turned, False  # The second plane of symmetry is not vertical.
     if inner is None:
         return Orientation(axes, 0.0)
     allowed, apart = max(TOLERANCE_CELLS * spacing, TOLERANCE_RADIUS * radius), spacing / SAMPLES_PER_CELL

@@ -53,7 +53,7 @@ that differs from reading to reading, for example because the pressure pulsates.
 1 % of the largest pressure."""
 ASSUMED_READINGS = 3
 """Weight of the assumed scatter (:data:`READING`) when it is averaged with the measured scatter of the readings, as an
-equivalent number of readings. It is needed because a few readings may agree by chance."""
+equivalent number of readings. The assumed scatter is needed because a few readings may agree by chance."""
 
 
 def fit_line(

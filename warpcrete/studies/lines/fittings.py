@@ -114,8 +114,8 @@ def library_factor(part: Part) -> float:
     if part.kind == "bend":
         return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
     if part.kind == "reducer":
-        # The first entry of the table is the loss at constant radius, which is zero. The interpolation also returns it
-        # for a pipe that widens, because the change of radius is then negative.
+        # The first entry of the table is the loss at constant radius, which is zero. The interpolation also returns
+        # zero for a pipe that widens, because the change of radius is then negative.
         return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
     return 1.0
 

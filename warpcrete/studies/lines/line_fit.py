@@ -85,7 +85,8 @@ class LineFit:
     pressures: tuple[float, ...]
     """Pressures at the taps (places of gauges) according to the fit [Pa], in the order of the taps."""
     uncertainty: float
-    """Uncertainty u of the slip layer's resistance. Its band extends from 1 / (1 + u) to 1 + u times both constants."""
+    """Uncertainty u of the slip layer's resistance. The band of the layer extends from 1 / (1 + u) to 1 + u times both
+    constants."""
     friction_uncertainty: float
     """Uncertainty u of the friction of straight pipe at the mean flow, from the errors of the gauges and from the slip
     layer expected before the measurement. The band extends from 1 / (1 + u) to 1 + u times the friction."""

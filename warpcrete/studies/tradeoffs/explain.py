@@ -220,8 +220,8 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
             ratio = rest + (1.0 - rest) * whole / min(others)
             if ratio < MAX_TIME_RATIO:
                 yield Saving(f"no {name.removeprefix('contacts and ')}, or softer ones", ratio, "error not measured")
-    # In scenes without bonds, the forecast states the time step that is stable without dashpots. It gives the largest
-    # saving that weaker dashpots can bring.
+    # In scenes without bonds, the forecast states the time step that is stable without dashpots. This step gives the
+    # largest saving that weaker dashpots can bring.
     if alone < 1.05 * whole and not any(name.startswith("contacts and ") for name in forecast.limits):
         ratio = rest + (1.0 - rest) * alone / forecast.limits.get("contacts without dashpots", alone)
         if ratio < MAX_TIME_RATIO:
