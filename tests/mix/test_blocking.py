@@ -156,7 +156,7 @@ def test_a_ratio_of_water_to_binder_without_masses():
 
 
 @pytest.mark.parametrize(("slump", "admixture", "verdict"),
-                         [(40, False, "risky"), (80, False, "risky"), (120, False, "fine"), (200, False, "risky"),
+                         [(40, False, "blocks"), (80, False, "risky"), (120, False, "fine"), (200, False, "risky"),
                           (200, True, "fine")])  # fmt: skip
 def test_the_slump(slump, admixture, verdict):
     own = parts(superplasticizer=2) if admixture else parts()
@@ -165,7 +165,9 @@ def test_the_slump(slump, admixture, verdict):
     assert ("100 to 160 mm are usual; a superplasticizer, as in this mix, allows more" in found.found) == admixture
 
 
-@pytest.mark.parametrize(("slump", "verdict"), [(120, "fine"), (160, "fine"), (161, "unknown"), (40, "risky")])
+@pytest.mark.parametrize(
+    ("slump", "verdict"), [(120, "fine"), (160, "fine"), (161, "unknown"), (60, "risky"), (40, "blocks")]
+)
 def test_a_slump_alone_does_not_tell_whether_a_plasticizer_is_in_the_mix(slump, verdict):
     mix = mix_of({"density": 2350, "slump": f"{slump} mm"})
     (found,) = [each for each in blocking_rules(mix.given) if each.rule == "consistency"]

@@ -8,10 +8,11 @@ from .pipe import FORMS, Concrete, Line, Steady, after_rest, flow_of_pressure, k
 
 MEANINGS = (
     "forms: pipe = round pipe; plane = channel between two planes, as wide as the pipe; paper = equations for two "
-    "dimensions as Xu, Li & Jiang (2021) print them, only for comparison with their figures; kaplan = simplified "
-    "equations for a round pipe by Kaplan, de Larrard & Sedran (2005)"
+    "dimensions as Xu, Li & Jiang (2021) print them, only for comparison with their figures"
 )
 """Line below a table that explains the forms of the theory."""
+KAPLAN_MEANING = "; kaplan = simplified equations for a round pipe by Kaplan, de Larrard & Sedran (2005)"
+"""Addition to this line for a table that has a row of Kaplan's model."""
 
 
 def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
@@ -65,9 +66,10 @@ def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures
             f"{s.plug_radius:17.4g}"
         )
 
+    has_kaplan = len(flows) > 0 and concrete.bulk_law.name == concrete.layer_law.name == BINGHAM
     for flow in flows:
         lines += [line_of(steady(concrete, line, flow, form)) for form in FORMS]
-        if concrete.bulk_law.name == concrete.layer_law.name == BINGHAM:
+        if has_kaplan:
             lines.append(line_of(kaplan(concrete, line, flow)))
     for pressure in pressures:
         standing = []
@@ -79,4 +81,4 @@ def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures
                 lines.append(f"{form:8s}{0:14.5g}{pressure:15.6g}   {str(error).partition(': ')[2].partition(' (')[0]}")
         if len(standing) == len(FORMS):
             raise standing[-1]
-    return "\n".join([*lines, MEANINGS])
+    return "\n".join([*lines, MEANINGS + (KAPLAN_MEANING if has_kaplan else "")])
