@@ -10,6 +10,7 @@ from command_modules import CLI, LINE
 from made_runs import RUNS
 from pumping import command
 
+from warpcrete.cli.option_amounts import THIXOTROPY, growth_of
 from warpcrete.cli.run import report
 from warpcrete.core.inputs.yaml_files import parsed_yaml
 from warpcrete.core.run.ending import Ending, interruption
@@ -19,6 +20,11 @@ from warpcrete.studies.lines.result import lines_of
 from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.studies.study_result import Study
 from warpcrete.theory.pipe import CONCRETES
+
+
+def test_concrete_that_does_not_grow_at_rest_may_be_stated():
+    assert growth_of(600.0, 0.0) == 0.0
+    assert growth_of(600.0, None) == growth_of(None, None) == THIXOTROPY > 0
 
 
 def test_the_probability_of_blocking_follows_the_answer(monkeypatch, tmp_path):

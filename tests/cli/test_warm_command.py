@@ -10,6 +10,7 @@ import warp as wp
 from pumping import command
 
 from warpcrete import scenes
+from warpcrete.cli import warm
 from warpcrete.core.device.kernel_files import note_use
 
 
@@ -34,6 +35,24 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
     ):  # fmt: skip
         done = command("warm", *words)
         assert done.returncode == 2 and message in done.stderr and done.stderr.startswith("error: "), done.stderr
+
+
+def test_a_changed_file_at_any_depth_of_the_program_is_other_code(tmp_path, monkeypatch):
+    """Kernels and scenes lie beside the package in a checkout."""
+    files = [
+        tmp_path / place for place in ("warpcrete/dem/laws/linear.py", "kernels/common/types.py", "scenes/lbox.py")
+    ]
+    for file in files:
+        file.parent.mkdir(parents=True)
+        file.write_text("1", encoding="utf-8")
+    monkeypatch.setattr(warm, "__file__", str(tmp_path / "warpcrete" / "cli" / "warm.py"))
+    for name, folder in (("kernels", "kernels"), ("scene_package", "scenes")):
+        monkeypatch.setattr(warm, name, SimpleNamespace(__file__=tmp_path / folder / "__init__.py"))
+    found = [warm._code_hash()]
+    for file in files:
+        file.write_text("2", encoding="utf-8")
+        found.append(warm._code_hash())
+    assert len(set(found)) == 4 and found[-1] == warm._code_hash()
 
 
 def test_a_scene_that_is_ready_is_not_measured_again(tmp_path, monkeypatch):

@@ -73,6 +73,16 @@ def test_a_read_waits_once_and_copies_by_a_graph_from_the_second_time_on(gpu):
     assert len(gpu.pinned) == 3
 
 
+def test_reads_on_the_cpu_are_copies_that_later_steps_leave_alone():
+    quiet_init()
+    cpu, one = wp.get_device("cpu"), array(1.0, 2.0)
+    both, ask = Exchange(cpu), LaunchAndRead([], [one], cpu)
+    both.begin_read(one)
+    found = [*both.read(one), *both.finish_read(), *ask()]
+    one.assign(np.array([3.0, 4.0]))
+    assert [each.tolist() for each in found] == [[1.0, 2.0]] * 3
+
+
 def test_copies_of_nothing_need_no_graph(gpu):
     nothing, both = wp.zeros(0, dtype=float, device="cpu"), Exchange(gpu)
     for _ in range(3):

@@ -89,6 +89,19 @@ def test_a_new_folder_is_new(tmp_path):
         make_folder(tmp_path / "a" / "b")
 
 
+def test_a_new_folder_that_another_run_fills_before_it_is_locked_is_refused(tmp_path, monkeypatch):
+    usual = FolderLock.__init__
+
+    def wait(self, where):
+        usual(self, where)
+        (where / "result.json").touch()
+
+    monkeypatch.setattr(FolderLock, "__init__", wait)
+    with pytest.raises(RunFolderError, match="exists already"):
+        make_folder(tmp_path / "run")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["result.json"]  # the lock is released
+
+
 def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, monkeypatch, undisturbed_folder):
     """It may have ended, or written a checkpoint; without one, the record becomes that of the run that begins anew."""
     folder = shutil.copytree(undisturbed_folder, tmp_path / "run")

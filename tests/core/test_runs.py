@@ -26,6 +26,7 @@ from warpcrete.core.run.quantities import Amount, Quantities, Result
 from warpcrete.core.run.run import viewer
 from warpcrete.core.run.tables import Table
 from warpcrete.core.run.viewer import Viewer
+from warpcrete.record import run_folder
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 
@@ -50,6 +51,18 @@ def test_a_run_comes_back_from_its_folder(ran):
     assert "pressure" in back._ipython_key_completions_() and "finished" not in back._ipython_key_completions_()
     with pytest.raises(KeyError, match=r"'presure'; similar names are pressure"):
         back["presure"]
+
+
+def test_further_tables_of_a_run_come_back_with_nine_digits(ran, tmp_path):
+    """A run along a pipe has a table of its stations, which the same functions write and read as the series."""
+    columns = {"place": np.array([1 / 3, 2 / 3]), "pressure": np.array([1234567.891, np.nan])}
+    stations = Table(columns, {"place": "m", "pressure": "Pa"})
+    shutil.copytree(ran.folder, tmp_path / "one")
+    run_folder._write_table(tmp_path / "one" / "stations.csv", stations)
+    back = warpcrete.load(tmp_path / "one").tables["stations"]
+    assert back.units == stations.units and list(back.columns) == list(columns)
+    for name, column in columns.items():
+        assert back.columns[name] == pytest.approx(column, rel=1e-9, nan_ok=True)
 
 
 def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):

@@ -270,6 +270,17 @@ def guide_law(folder):
     guide(folder, "own-contact-law.md", "class Sticky")
 
 
+def test_a_file_in_the_folder_that_one_is_in_hides_no_installed_module(tmp_path, monkeypatch):
+    for name in ("installed", "here"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "twice_there.py").write_text(f"WHERE = {name!r}\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path / "installed")
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(SceneError, match=r"the module 'twice_there' has no 'Law'"):
+        scenes.pipe(contact="twice_there:Law")
+    assert sys.modules.pop("twice_there").WHERE == "installed" and str(tmp_path / "here") not in sys.path
+
+
 def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypatch):
     guide_law(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -37,6 +37,11 @@ def test_every_fitting_has_a_band_with_its_cause():
     assert pumped({"straight": 50}, {"bend": {"to": "left", "factor": 2}}).band().shares == {}
 
 
+def test_a_band_that_begins_at_zero_allows_any_factor():
+    assert Band(20.0, 10.0, 40.0).factor == 2.0
+    assert Band(1.0, 0.0, 2.0).factor == Band(1.0, -1.0, 2.0).factor == math.inf
+
+
 def test_the_band_is_split_by_cause():
     """Two causes: deviations add in squares as logarithms, also below, where a bend is as good as straight pipe."""
     found = pumped({"straight": 20}, {"bend": "left"}, {"straight": 20}, factor=2.0)

@@ -1,5 +1,7 @@
 """A bore from a mesh file in a line: it fits or is refused, and loses what the same shape by formula does."""
 
+import math
+
 import numpy as np
 import pytest
 import trimesh
@@ -45,6 +47,19 @@ def test_a_bore_is_read_beside_its_line(tmp_path):
     before = part.mesh.digest
     tube(tmp_path / "valve.stl", [0.0625, 0.0501], lids=True)
     assert read_line(site).parts[1].mesh.digest != before
+
+
+def test_the_radii_of_a_line_lie_where_its_bore_is(tmp_path):
+    """The bore lies between 1 m and 1.25 m, and narrows from 125 mm to 60 mm in its middle."""
+    tube(tmp_path / "valve.stl", [0.0625, 0.03, 0.03, 0.0625])
+    found = line(tmp_path)
+    for bores in (found.bores, found.clear):
+        assert bores.at(np.array([0.125, 1.0, 1.125, 1.25, 2.0])) == pytest.approx(
+            [0.0625, 0.0625, 0.03, 0.0625, 0.0625], rel=0.01
+        )
+    straight, cones = math.pi * 0.0625**2, math.pi / 3 * (0.0625**2 + 0.0625 * 0.03 + 0.03**2)
+    bore = 0.25 / 3 * (2 * cones + math.pi * 0.03**2)
+    assert found.bores.volume(0.0, 2.25) == pytest.approx(2 * straight + bore, rel=0.003)
 
 
 def test_the_narrowest_of_a_bore_lets_stones_through_or_not(tmp_path):

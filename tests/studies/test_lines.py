@@ -18,7 +18,7 @@ from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines import run as line_run
 from warpcrete.studies.lines.fittings import library_factor
 from warpcrete.studies.lines.losses import line_of, read_line, shipped_lines, straight_friction
-from warpcrete.studies.lines.run import _loss_from_run, _scene_of_part, run_line
+from warpcrete.studies.lines.run import _loss_from_run, _scene_of_part, folder_name, run_line
 from warpcrete.theory.bands import combined
 from warpcrete.theory.pipe import Concrete
 
@@ -58,6 +58,17 @@ def test_other_amounts_are_refused(given):
         SceneError, match=r"^flow = .*: must be a number with one of the units m3/s, m3/h, .* is in m3/s$"
     ):
         amount("flow", given, "m3/s")
+
+
+def test_parts_that_lose_different_pressures_have_different_run_folders():
+    """A name without the radius of a bend would give a second bend the result of the first one."""
+    kinds = [{"straight": 1}, {"hose": 2}, {"hose": {"length": 2, "layer": 1.5}}]
+    kinds += [{"bend": {"to": "left", "radius": radius, "angle": angle}} for radius in (0.3, 1) for angle in (45, 90)]
+    kinds += [{"reducer": {"to": to, "length": length}} for to in (0.1, 0.11) for length in (0.3, 1)]
+    parts = [part for diameter in (0.125, 0.15) for kind in kinds
+             for part in line_of({"diameter": diameter, "parts": [kind]}).parts]  # fmt: skip
+    names = {part.loss_key: folder_name(part) for part in parts}
+    assert len(names) == 2 * (2 + 4 + 4) and len(set(names.values())) == len(names)
 
 
 def test_a_line_goes_where_its_parts_lead():

@@ -14,6 +14,7 @@ from warpcrete.core.units import number
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.one_pipe import joined, parameters_from_line
 from warpcrete.mps.common.mixes import concrete_of
+from warpcrete.mps.part.display import PartDisplay
 from warpcrete.mps.part.layout import Frame, bore_distance, part_room
 from warpcrete.mps.part.probes import _slope, losses, straight_lines
 from warpcrete.mps.part.simulation import PartSimulation
@@ -269,3 +270,11 @@ def test_lines_are_fitted_to_pressures_a_radius_away_from_bends_and_ends():
     assert upstream == pytest.approx(downstream, rel=1e-9) and upstream == pytest.approx([-2000, 6e3], rel=1e-9)
     short = straight_lines(scene, s[:7], pressure[:7])
     assert np.isnan(short).all()
+
+
+def test_the_colours_reach_the_speed_in_the_narrow_end_of_a_reducer():
+    """The scale ends at 1.5 times the mean speed there: the plug of this concrete is not faster."""
+    scene = scenes.part(concrete="no1", unit="horizontal", diameter=0.125, outlet_diameter=0.08, flow=2e-3)
+    label, low, high = PartDisplay.scale(SimpleNamespace(_scene=scene, colouring="speed"))
+    assert (label, low) == ("speed [m/s]", 0.0)
+    assert high == pytest.approx(1.5 * 2e-3 / (math.pi * 0.04**2), rel=1e-12)

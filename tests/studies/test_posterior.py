@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warpcrete.scenes import modules
-from warpcrete.studies.calibration.posterior import Posterior, confounded_pairs, insensitive_targets
+from warpcrete.studies.calibration.posterior import Emulator, Posterior, confounded_pairs, insensitive_targets
 from warpcrete.studies.calibration.targets import FreeParameter, Target, Task, read_task
 
 FREE = (FreeParameter("slip_yield", 0.0, 100.0, False, False), FreeParameter("viscosity", 1.0, 10000.0, True, False))
@@ -74,3 +74,15 @@ def test_parameters_that_move_together_and_targets_that_nothing_moves_are_named(
     for slope, scatter, insensitive in ((2.1, 0.0, False), (1.9, 0.0, True), (20.0, 19.0, False), (20.0, 21.0, True)):
         target, found = made(slope, scatter)
         assert (target in insensitive_targets(found, [target])) == insensitive
+
+
+def test_the_uncertainty_of_a_prediction_leaves_out_the_scatter_of_single_runs():
+    """With twenty seeds at each of three places, the mean there is known to a fraction of the scatter, which is 5."""
+    pytest.importorskip("sklearn")
+    places = np.repeat([0.0, 0.5, 1.0], 20)[:, None]
+    values = 100.0 + 40.0 * places[:, 0] + np.random.default_rng(4).normal(0.0, 5.0, 60)
+    emulator = Emulator(places, values, 1e-3)
+    assert emulator.scatter == pytest.approx(5.0, rel=0.15)
+    mean, deviation = emulator(np.array([[0.0], [0.5], [1.0]]))
+    assert np.all(deviation > 0) and np.all(deviation < 0.25 * emulator.scatter)
+    assert mean == pytest.approx([100.0, 120.0, 140.0], abs=2.0)

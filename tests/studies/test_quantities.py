@@ -92,6 +92,17 @@ def test_the_final_window_lies_within_the_last_stroke():
     assert results(known)["end_pressure"]["value"] == pytest.approx(30e3, rel=1e-12)
 
 
+def test_the_plateau_of_a_later_stroke_is_compared_with_a_window_of_that_stroke():
+    """The window and the equal travel before it are fifths of the second stroke: 0.1 m each, not 0.2 m."""
+    stops = Stops(count=1, stroke_time=1.0, pause=0.5)
+    pipe = dataclasses.replace(PIPE.pipe, velocity=0.55, travel=1.0, ramp=0.1, stops=stops)
+    begun = pipe.begun(1.0)
+    way, width = np.linspace(0, 1.0, 1001), 0.2 * (1.0 - begun)
+    for place, plateau in ((1.0 - 2.1 * width, True), (1.0 - 1.5 * width, False)):
+        pressure = np.where(way < place, 30e3, 10e3)
+        assert known_of(way, pressure, dataclasses.replace(PIPE, pipe=pipe)).on_plateau == plateau
+
+
 def wave(way, size, period=0.05):
     return size * np.sin(2 * np.pi * way / period)
 

@@ -51,6 +51,8 @@ def test_aggregates_that_have_left_stay_away_and_move_no_more(device):
     bodies.bodies.centre.assign(centre)
     step(simulation.flow)
     assert bodies.inside.tolist() == [False, True, True]
+    heights = bodies.bodies.centre.numpy()[1:, 2]  # without the one that has left
+    assert simulation.measured()["aggregate_height"] == pytest.approx(heights.mean(), rel=1e-6)
     assert bodies.volume_inside(simulation.flow.opens) == pytest.approx(1 / 3, abs=0.01)
     place = bodies.bodies.centre.numpy()[0]
     step(simulation.flow, 2)
