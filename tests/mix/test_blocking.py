@@ -201,6 +201,22 @@ LINE = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("kinds", "number"),
+    [
+        ("valve straight", 2), ("valve hose", 2), ("straight valve", 1), ("straight hose", 1),
+        ("straight valve bend bend", 3), ("reducer straight bend", 1), ("valve", 1),
+    ],
+)  # fmt: skip
+def test_among_equally_narrow_parts_the_likeliest_to_block_is_judged(kinds, number):
+    """Stones arch in a cone, then in a bend; other parts follow in their order, and a valve is the last."""
+    entries = {"valve": 0.5, "straight": 2, "hose": 3, "bend": {"to": "left", "radius": 0.5},
+               "reducer": {"to": 0.1, "length": 1}}  # fmt: skip
+    parts = [{kind: entries[kind]} for kind in kinds.split()]
+    line = line_of({"diameter": 0.125 if "reducer" in kinds else 0.1, "parts": parts})
+    assert narrowest(line).number == number
+
+
 def test_a_line_is_judged_at_its_narrowest_part():
     line = line_of(LINE)
     assert narrowest(line).number == 2

@@ -61,7 +61,7 @@ def test_other_amounts_are_refused(given):
 
 
 def test_parts_that_lose_different_pressures_have_different_run_folders():
-    """A name without the radius of a bend would give a second bend the result of the first one."""
+    """Folders whose names are equal get numbers, by which a user cannot tell the parts apart."""
     kinds = [{"straight": 1}, {"hose": 2}, {"hose": {"length": 2, "layer": 1.5}}]
     kinds += [{"bend": {"to": "left", "radius": radius, "angle": angle}} for radius in (0.3, 1) for angle in (45, 90)]
     kinds += [{"reducer": {"to": to, "length": length}} for to in (0.1, 0.11) for length in (0.3, 1)]
