@@ -43,7 +43,7 @@ def shown(unit: str) -> tuple[float, str]:
 def rounded(value: float, digits: int = 4) -> str:
     """Return a number as text with at most `digits` significant digits, without zeros at the end.
 
-    Numbers below 0.0001 are written with an exponent. So are numbers from 1e6 on, or from 10**digits on if `digits`
-    exceeds 6.
+    Small and large numbers are written with an exponent: numbers below 0.0001, and numbers from 1e6 on (from 10**digits
+    on if `digits` exceeds 6).
     """
     return f"{float(f'{value:.{digits}g}'):.{max(digits, 6)}g}"

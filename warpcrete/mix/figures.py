@@ -1,4 +1,4 @@
-"""Properties calculated from a mix, each with an uncertainty band, the input it follows from, and its source."""
+"""Properties calculated from a mix, each with an uncertainty band, the entry from which it follows, and its source."""
 
 from dataclasses import dataclass, replace
 

@@ -380,8 +380,8 @@ class Launcher:
     def apart(self, stages: list[Stage]) -> None:
         """Launch stages (kernel launches) that do not depend on one another, each in a thread of its own.
 
-        An example is one stage per group of bodies. While other processes use the cores, one thread launches all
-        stages.
+        The stages may belong to different groups of bodies, for example. While other processes use the cores, one
+        thread launches all stages.
         """
         for stage in stages:
             stage.record()

@@ -43,8 +43,8 @@ STATED_BENDS = (
 """Advice for the user if the uncertainty comes from bends whose factor the file of the line states with a range. A fit
 does not change a stated factor."""
 SHORTEST_STOP = 60.0
-"""Shortest interval [s] at which the program recommends to move the concrete in a stopped line. If the concrete must
-move more often, the program recommends not to stop."""
+"""Shortest interval [s] at which the program recommends moving the concrete in a stopped line. If the concrete must
+move more often, the program advises against a stop."""
 LONGEST_STOP = 3600.0
 """Longest stop for which the program examines whether a pump restarts the line [s], because the linear growth of the
 yield stress at rest holds for some tens of minutes only."""

@@ -123,9 +123,9 @@ def library_factor(part: Part) -> float:
 def is_in_library(part: Part) -> bool:
     """Return whether the friction of a pipe part can be found without a simulation.
 
-    For a bend or reducer, this is the case if the line's file states its factor or if the table of simulated parts
-    covers it. The table covers all bends and reducers that are not sharper than the sharpest simulated one. The result
-    is True for all other kinds of parts.
+    The friction of a bend or reducer can be found if the line's file states its factor, or if the table of simulated
+    parts covers the part. The table covers all bends and reducers that are not sharper than the sharpest simulated one.
+    The result is True for all other kinds of parts.
     """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True
