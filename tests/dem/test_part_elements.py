@@ -43,6 +43,11 @@ parts:
 """
 
 
+def test_a_piston_that_starts_at_its_final_speed_may_be_stated():
+    assert scenes.part_dem(**SMALL, ramp=0.0).pipe.ramp == 0.0
+    assert scenes.part_dem(**SMALL).pipe.ramp == 0.5 * SMALL["travel"]
+
+
 def test_volumes_and_surfaces_of_bores():
     """A cone between two cylinders: V = pi h (a^2 + a b + b^2) / 3, its side pi (a + b) sqrt(h^2 + (a - b)^2)."""
     bores = Bores((1.0, 1.4), (0.1, 0.07))

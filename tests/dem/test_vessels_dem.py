@@ -91,6 +91,11 @@ def test_rest_is_a_second_of_slowness_after_the_gate():
     assert not measures.at_rest(vessel, rows)
 
 
+def test_grains_without_friction_may_be_stated():
+    given = scenes.modules()["slump-dem"].scene.parameters
+    assert given(friction=0.0).grain_friction == 0.0 < given().grain_friction
+
+
 def test_solids_are_closed_and_have_their_volume():
     cone = truncated_cone(0.1, 0.05, 0.3)
     assert cone.trimesh().is_watertight

@@ -2,6 +2,7 @@
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import kept
 import numpy as np
@@ -17,7 +18,7 @@ from warpcrete.core.run.recorder import Recorder
 from warpcrete.core.units import quantity
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
-from warpcrete.dem.measure.wear import PipePatches, WornWall, patches_of
+from warpcrete.dem.measure.wear import PipePatches, WearMap, WornWall, patches_of
 from warpcrete.dem.measure.wear_results import QUANTITIES, covered, plot_wear, report
 from warpcrete.dem.scene.scene import Bodies, Scene, Settle, TimeStep, Wear
 from warpcrete.geometry.axis import Arc, Axis, Line
@@ -44,6 +45,17 @@ def sliding(contact, *, wall=FLOOR, height=None, velocity=(0.5, 0.0, 0.0), **cha
         wear=Wear(coefficient=1e-12), time_step=TimeStep(fixed=2e-6), sample_interval=0.005,
     )  # fmt: skip
     return Scene(**(settings | changes))
+
+
+def test_a_checkpoint_of_wear_does_not_change_with_the_run():
+    wall = SimpleNamespace(name="pipe", done=np.ones((2, 3)))
+    run: Any = SimpleNamespace(walls=[wall])
+    state = WearMap.state_dict(run)
+    wall.done[:, 0] += 1.0
+    assert np.array_equal(state["pipe"], np.ones((2, 3)))
+    WearMap.load_state_dict(run, state)
+    wall.done[:, 0] += 1.0
+    assert np.array_equal(state["pipe"], np.ones((2, 3)))
 
 
 @pytest.mark.parametrize("wall", [FLOOR, MESH], ids=["plane", "mesh"])

@@ -230,15 +230,6 @@ def test_a_line_goes_on_where_a_bent_bore_leads(tmp_path):
     assert line.parts[2].rise == pytest.approx(0.2, abs=1e-3) and line.parts[3].rise == pytest.approx(0, abs=0.01)
 
 
-def test_an_axis_of_bends_alone_goes_on_straight_beyond_both_ends():
-    axis = BENDS["without straight ends"]
-    for end, beyond in ((0.0, -0.7), (axis.length, 0.7)):
-        (point,), (tangent,) = axis.at(end)
-        (further,), (ahead,) = axis.at(end + beyond)
-        assert further == pytest.approx(point + beyond * tangent, abs=1e-12)
-        assert ahead == pytest.approx(tangent, abs=1e-12)
-
-
 def test_elements_go_through_a_bent_bore(tmp_path):
     """The wall is the inner surface between round pipes, all along the axis."""
     path = bent(tmp_path / "s.stl", BENDS["S"], radius=0.04, wall=1e-3)

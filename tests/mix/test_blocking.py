@@ -8,6 +8,7 @@ from click.testing import CliRunner
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.mix.blocking import (
+    FINE_SAND,
     SELF_COMPACTING,
     behind_reducers,
     blocking_rules,
@@ -143,6 +144,14 @@ def test_bleeding_and_what_holds_the_water():
     held = verdicts(parts=wet | {"vma": 1})["bleeding"]
     assert held.verdict == "fine" and "viscosity-modifying" in held.found
     assert verdicts(parts=wet | {"sand": 710, "limestone": 60})["bleeding"].verdict == "fine"
+
+
+def test_sand_without_fines_holds_no_water():
+    """A stated share of 0 % counts, although the rule assumes another one if none is stated."""
+    wet = parts(cement=300, water=210, sand=760)
+    none, unstated = (verdicts(parts=wet, fine_sand=share)["bleeding"].found for share in ("0 %", None))
+    assert f"fine sand {300 / 210:.2f} times the water" in none
+    assert f"fine sand {(300 + FINE_SAND[0] * 760) / 210:.2f} times the water" in unstated
 
 
 def test_a_ratio_of_water_to_binder_without_masses():

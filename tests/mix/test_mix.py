@@ -11,6 +11,7 @@ from warpcrete.core.inputs.concretes import concrete
 from warpcrete.core.units import number
 from warpcrete.mix.layer import layers
 from warpcrete.mix.mix import mix_of, read_mix
+from warpcrete.mix.reading import USUAL_AIR
 from warpcrete.theory.fits import straight_line
 from warpcrete.theory.inverse import (
     BASE,
@@ -216,6 +217,13 @@ def test_a_rheometer_may_read_five_times_the_yield_stress_of_a_heap():
     section["concrete"]["uncertainty"] = "10 %"
     stated = mix_of(section)["yield stress"]
     assert (stated.low, stated.high) == pytest.approx((810, 990)) and stated.source == "as given"
+
+
+def test_concrete_without_air_may_be_stated():
+    """Cement and water fill 0.29 m3 of a cubic metre, and two per cent of air are usual."""
+    entries = {"parts": {"cement": 340, "water": 180, "sand": 790, "gravel": 1040}, "slump": "120 mm"}
+    usual, none, some = (mix_of(entries | more).given.sand_and_stone for more in ({}, {"air": "0 %"}, {"air": "3 %"}))
+    assert none == pytest.approx(usual + USUAL_AIR, abs=1e-12) and some == pytest.approx(none - 0.03, abs=1e-12)
 
 
 @pytest.mark.parametrize("air", [None, "5 %"])

@@ -46,6 +46,18 @@ def test_the_narrowest_part_is_simulated_with_dry_stones_of_true_size():
     assert scene.pipe.travel == pytest.approx(0.32)  # at least two windows
 
 
+def test_a_concrete_may_state_a_wall_without_friction(tmp_path):
+    path = tmp_path / "smooth.yaml"
+    path.write_text(
+        "flow: {density: 2300, viscosity: 20, yield_stress: 50, slip_viscosity: 1000, slip_yield: 20}\n"
+        "elements: {wall_friction: 0}\n",
+        encoding="utf-8",
+    )
+    line = line_of(LINE)
+    own = _parameters(line.parts[1], line, str(path), 1e-3, Elements(coarse=1.0), 7)
+    assert own["wall_friction"] == 0.0 and own["friction"] == FRICTION
+
+
 def test_the_largest_stone_of_a_line_is_simulated():
     """Scale the sizes of a concrete without a sieve curve; their ratios stay, also when they are enlarged."""
     for coarse, largest in ((1.0, 0.016), (1.5, 0.024)):

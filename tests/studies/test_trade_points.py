@@ -74,15 +74,6 @@ def test_a_promise_is_the_cheapest_setting_that_is_neither_suspect_nor_failed_no
     assert set(ran) == {"later", "rough", "good", "dear"}
 
 
-def test_an_unfinished_run_is_no_result_but_an_interruption():
-    """Its pressure is that of a shorter run, so it must not be compared with the pressures of finished runs."""
-    trade, point = object.__new__(Trade), Setting("size", {}, {})
-    for unfinished in (result(1.0) | {"finished": False}, None, KeyboardInterrupt()):
-        trade.interrupted = False
-        trade._store_outcome(point, 3, unfinished)
-        assert trade.interrupted and not point.results and not point.failure
-
-
 def test_workers_that_end_in_any_order_leave_the_results_before_the_first_failure(tmp_path, monkeypatch):
     """Seeds 2 and 4 fail; only the result of seed 1 counts, whether seed 3 ended before or after them."""
     outcomes = {1: result(1.0) | {"finished": True}, 2: InstabilityError("of seed 2"),
