@@ -226,6 +226,15 @@ def test_what_is_no_part_is_refused(given, words):
         scenes.part(**given)
 
 
+def test_a_cone_where_two_straight_pieces_meet_is_one_section():
+    scene = scenes.part(**OWN, unit="horizontal", diameter=0.1, outlet_diameter=0.08, straight=0.3, taper=0.2)
+    two = dataclasses.replace(scene, axis=dataclasses.replace(scene.axis, pieces=(Line(0.3), Line(0.5))))
+    kinds = ["straight", "taper", "straight"]
+    for each in (scene, two):
+        assert [section.kind for section in each.sections] == kinds
+        assert [section.begin for section in each.sections] == pytest.approx([0.0, 0.3, 0.5], abs=1e-12)
+
+
 def test_a_cone_may_stand_behind_a_bend_but_not_in_it():
     scene = scenes.part(unit="bend-level", straight=0.4, outlet_diameter=0.08, taper=0.2)
     arc = scene.axis.pieces[1].length
