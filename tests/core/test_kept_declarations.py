@@ -28,6 +28,8 @@ from warpcrete.standards.standard_test import TESTS
 def modules():
     """Return all modules of the package except kernels, by name; `__main__` would run the command."""
     names = {"warpcrete"} | {each.name for each in pkgutil.walk_packages(warpcrete.__path__[:1], "warpcrete.")}
+    # The links of tests/link_folders.py show the scenes a second time below the package.
+    names = {each for each in names if not each.startswith("warpcrete.scenes")}
     names |= {f"warpcrete.scenes.{each.name}" for each in pkgutil.iter_modules(scenes.__path__)}
     names = sorted(each for each in names if not each.endswith(".__main__") and ".kernels" not in each)
     return {name: importlib.import_module(name) for name in names}

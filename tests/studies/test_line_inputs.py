@@ -193,6 +193,11 @@ def test_units_of_time_may_be_written_out(rest, minutes):
     assert done.exit_code == 0 and f"after {minutes} min of rest" in done.output
 
 
+def test_a_unit_after_a_space_is_not_taken_as_a_file():
+    done = CliRunner().invoke(cli, ["line", "--slump", "180", "mm", *PIPE])
+    assert done.exit_code == 2 and "'mm' was taken as this file; write an amount without a space" in done.output
+
+
 def test_concrete_that_cannot_be_pumped_is_named_before_its_pressure():
     done = CliRunner().invoke(cli, ["line", "--slump", "30 mm", *PIPE])
     assert done.output.lstrip().startswith("WARNING: consistency: slump 30 mm") and done.exit_code == 0

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..core.errors import between, positive, refuse
-from ..core.inputs.amounts import amount, is_customary
+from ..core.inputs.amounts import accepted_units, amount, is_customary
 from ..core.inputs.concretes import NamedConcrete
 from ..core.inputs.concretes import concrete as named
 from ..core.inputs.limits import check_limit, check_velocity
@@ -114,9 +114,12 @@ def _from_file(line: str, settings: Mapping[str, object]) -> PipeLine:
     """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise` next to a file."""
     for name in SHAPE:
         if settings[name] is not None:
+            # The shell passes the unit of an amount such as 180 mm as a word of its own.
+            hint = f"leave out --{name}, or the file"
+            if any(line in accepted_units(unit) for unit in ("m", "m3/s", "Pa")):
+                hint = f"'{line}' was taken as this file; write an amount without a space or in quotes, as in '180 mm'"
             raise click.UsageError(
-                f"{name} = {settings[name]!r}: cannot be given together with the file of a line; "
-                f"leave out --{name}, or the file"
+                f"{name} = {settings[name]!r}: cannot be given together with the file of a line; {hint}"
             )
     return read_line(line)
 
