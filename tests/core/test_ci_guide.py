@@ -36,7 +36,7 @@ def test_the_guides_test_stores_compares_and_renews_a_reference(tmp_path, monkey
         return done.stdout.splitlines()[-1], done.stdout
 
     last, said = outcome()
-    assert last.startswith("3 failed, 3 passed") and "no reference for column; copy runs" in said
+    assert last.startswith("3 failed, 3 passed") and "no reference for slump; copy runs" in said
     reference = tmp_path / "reference.json"
     shutil.copyfile(tmp_path / "runs" / "reference.json", reference)
     assert outcome()[0].startswith("6 passed")

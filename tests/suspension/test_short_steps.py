@@ -52,4 +52,4 @@ def test_effects_of_search_directions_stay_orthogonal_in_single_precision(device
     solve._launch = last_launch
     flow.take(1)
     # Measured on a CPU: 1.6e-7, and 3e-4 without the repeated orthogonalisation.
-    assert len(worst) >= 10 and max(worst) < 4e-7
+    assert len(worst) >= 10 and max(worst) < (4e-7 if device == "cpu" else 3e-6)
